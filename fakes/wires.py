@@ -1,8 +1,8 @@
-"""How simulated devices hear and answer: a server on TCP, a serial line, late and cut segments.
+"""How simulated devices receive and answer: a TCP server, a serial line, late and cut segments.
 
 A server on loopback has a blocking thread a client: the quickest answer Python gives. Bytes leave
 now and then late, and now and then in two segments. Real devices do both, and TCP promises neither
-promptness nor whole packets. The turns depend on how often was sent over the connection, so they
+promptness nor whole packets. Which ones depends on the number of sends over the connection, so they
 are the same in each run.
 """
 
@@ -124,7 +124,7 @@ class SerialEnd:
     """A serial device's end of a line, which a pseudo terminal stands for; it has no connections.
 
     Both ends are kept open, as a cable is: the line stays when its user goes. Used like a client's
-    socket, by one thread. Bytes that nobody takes within ``patience_s`` are lost, as on any UART.
+    socket, by one thread. Bytes that are not read within ``patience_s`` are lost, as on any UART.
     """
 
     def __init__(self, patience_s: float | None = None) -> None:
@@ -155,7 +155,7 @@ class SerialEnd:
 
 
 class Wire(Protocol):
-    """Both ways of one connection."""
+    """Both directions of one connection."""
 
     def sendall(self, data: bytes, /) -> None:
         """Send all of ``data``."""
@@ -275,7 +275,7 @@ class Segments:
 
 
 class Answers:
-    """The sending side of a robot's server: an answer as its faults want it, else by `Segments`."""
+    """The sending side of a robot's server: an answer changed by its faults, else by `Segments`."""
 
     def __init__(self, faults: Faults, closing: threading.Event) -> None:
         """``closing`` ends a wait for a late answer."""
@@ -288,7 +288,7 @@ class Answers:
             return False
         if take("robot.half_open") is not None:
             client.settimeout(None)
-            while client.recv(RECEIVE):  # nothing comes of it until the client has gone
+            while client.recv(RECEIVE):  # no answer until the client has closed
                 pass
             return False
         if take("robot.no_reply") is not None:
@@ -304,7 +304,7 @@ class Answers:
 
 
 class LineSession:
-    """Whole lines in, whole lines out; ``late`` are kept until the next answer."""
+    """Whole lines in, whole lines out; ``late`` wait for the next answer."""
 
     def __init__(self, wire: Wire) -> None:
         self._wire, self._segments = wire, Segments(wire.sendall)
@@ -316,7 +316,7 @@ class LineSession:
         self._segments.send(line + b"\r\n")
 
     def answer(self, line: bytes, faults: Faults) -> None:
-        """Send a line behind those kept before; a fault keeps it, too, or has it sent in two."""
+        """Send a line after the late ones; a fault delays it, too, or splits it."""
         if faults.take("tracker.late_result") is not None:
             self.late.append(line)
             return
@@ -327,7 +327,7 @@ class LineSession:
             self.say(line)
 
     def say_late(self) -> None:
-        """Send the lines that were kept."""
+        """Send the late lines."""
         for late in self.late:
             self.say(late)
         self.late.clear()

@@ -28,23 +28,23 @@ MAX_LISTED = 10
 
 def bounded(lines: Iterable[str], count: int | None = None, most: int = MAX_LISTED) -> list[str]:
     """Return the first lines of a list, and how many more there are of ``count``, or of its own."""
-    found = list(lines)
-    more = (len(found) if count is None else count) - most
-    return [*found[:most], *([f"and {more} more"] if more > 0 else [])]
+    listed = list(lines)
+    more = (len(listed) if count is None else count) - most
+    return [*listed[:most], *([f"and {more} more"] if more > 0 else [])]
 
 
 def indented(lines: Iterable[str], count: int | None = None, most: int = MAX_LISTED) -> str:
-    """Return what `bounded` does as text, each line indented below the words before it."""
+    """Return the lines of `bounded` as text, each indented."""
     return "\n".join(f"  {each}" for each in bounded(lines, count, most))
 
 
 def one_line(error: BaseException) -> str:
-    """Return the type and the words of an error that hilcell did not expect, in one line."""
+    """Return type and message of an unexpected error in one line."""
     return " ".join(f"{type(error).__name__}: {error}".split())
 
 
 def with_location(error: BaseException) -> str:
-    """Return it in one line, with the file and the line that raised it."""
+    """Return `one_line`, with the file and the line that raised the error."""
     steps = [step for step in extract_tb(error.__traceback__) if step.filename[:1] != "<"]
     at = steps[-1:]
     return one_line(error) + "".join(f" ({Path(s.filename).name}, line {s.lineno})" for s in at)
@@ -65,18 +65,18 @@ class HilcellError(Exception):
         self.code = code or self.code
 
     def facts(self) -> Json:
-        """Return what the journal keeps of the error, plain enough for JSON."""
+        """Return the error as the journal records it, in JSON types."""
         return {"code": self.code, "found": str(self)}
 
 
 class StoreUnavailable(HilcellError):
-    """A store that is not this PC's cannot be used now; the same command may do it later."""
+    """A store outside this PC cannot be used now; the same command may succeed later."""
 
     exit_code = EXIT_STORAGE
 
 
 class DriverDefect(HilcellError):
-    """A driver did what its port rules out: a defect of the driver, not of hilcell or a device."""
+    """A driver broke the contract of its port: a defect of the driver."""
 
     code = "HC-C07"
     exit_code = EXIT_INTERNAL
@@ -95,7 +95,7 @@ class Stopped(HilcellError):
 class DeviceError(HilcellError):
     """A device failed: its code, the device, the operation, found and expected value, next act.
 
-    ``fields`` are the values behind the words, for programs: plain, with units in their names.
+    ``fields`` are the values of its text, for programs: plain, with units in their names.
     ``causes`` are the errors of several devices that failed together.
     """
 
@@ -148,7 +148,7 @@ class DeviceRefused(DeviceError):
 
 
 class NoReading(DeviceError):
-    """The device is well, yet this one measurement failed and may be tried again."""
+    """Only this one measurement failed, and it may be tried again."""
 
     def of_point(self, key: str) -> NoReading:
         """Return the same error, whose operation names the point that was measured."""
@@ -164,20 +164,20 @@ class NoReading(DeviceError):
 
 
 class StripLost(NoReading):
-    """The strip does not say where the slide stands: dirt, a gap, a head too far from it.
+    """The strip has no valid position: dirt, a gap, a head too far from it.
 
-    The drive still brings the slide to rest and holds it. A strip is absolute: once it reads well
-    again, it is right.
+    The drive still brings the slide to rest and holds it. A strip is absolute: once it reads
+    again, its position is right.
     """
 
 
 def exit_code(error: Exception) -> int:
-    """Return the exit code that says how ``error`` ended a run or a command."""
+    """Return the exit code of a run or a command that ``error`` ended."""
     return error.exit_code if isinstance(error, HilcellError) else EXIT_INTERNAL
 
 
 def facts_of(error: Exception) -> Json:
-    """Return an error's facts; one that hilcell did not expect is a defect."""
+    """Return an error's facts; an unexpected error is a defect."""
     if isinstance(error, HilcellError):
         return error.facts()
     return {
@@ -189,7 +189,7 @@ def facts_of(error: Exception) -> Json:
 
 
 def _plain(value: object) -> object:
-    """Return a value as JSON has it, which knows no NaN and no infinity."""
+    """Return a value in JSON types; JSON has no NaN and no infinity."""
     if hasattr(value, "tolist"):  # arrays and their numbers
         return _plain(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):

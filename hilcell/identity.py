@@ -12,8 +12,9 @@ class Identity(msgspec.Struct, frozen=True):
     """A robot, a tracker, a rail's drive or its strip; strings were cleaned at the driver's edge.
 
     ``device`` is the port by which it was reached: drive and strip are both at "Rail". ``kind`` is
-    robot, tracker, drive or strip; without one it is that of the device. A device that does not
-    say something has "". ``simulated`` is its own statement: see `hilcell.ports.is_simulated_name`.
+    robot, tracker, drive or strip; without one it is that of the device. A field that the device
+    does not report is "". ``simulated`` is its own statement: see
+    `hilcell.ports.is_simulated_name`.
     """
 
     device: str = ""
@@ -32,5 +33,5 @@ class Identity(msgspec.Struct, frozen=True):
 
     @property
     def text(self) -> str:
-        """Return it in words: model and serial number."""
+        """Model and serial number as text."""
         return f"{self.model}, serial {self.serial}"

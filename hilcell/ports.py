@@ -1,15 +1,15 @@
 """The ports: small Protocols that devices satisfy, their readings and their errors.
 
-Every rail, robot and tracker satisfies one of three. A tracker that turns over satisfies
-`TwoFaces` as well, one that can stream `Streams`, a robot that can turn one axis slowly and report
+Every rail, robot and tracker satisfies one of three. A tracker with two faces satisfies
+`TwoFaces` as well, one that can stream `Streams`, a robot that can move one axis slowly and report
 its joints meanwhile `Sweeps`. The last two hand out a flyer: prepared by ``with``, started by
-``kickoff``, read by ``collect``, ended by ``complete``, and put back to its earlier state on every
-way out of the ``with``.
+``kickoff``, read by ``collect``, ended by ``complete``, and restored to its earlier state on every
+exit of the ``with``.
 
 A driver is one plain class that satisfies one of these; it is built as ``Driver(options, clock)``
 with its own checked options (``Driver.Options``, a msgspec Struct) and the clock of the cell. A
 reading is only as good as its age: ``taken_s`` is ``clock.pc_s()`` at the moment the bytes that
-carry the reading arrived; nobody may use one older than its limit.
+carry the reading arrived; a reading older than its limit must not be used.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ Array = NDArray[np.float64]
 
 
 def is_simulated_name(name: str) -> bool:
-    """Whether a device's own name says that it is no machine: it has the word "simulated"."""
+    """Whether a device's own name contains the word "simulated"."""
     return "simulated" in name.casefold()
 
 
@@ -80,11 +80,11 @@ class RailReading:
     """Drive and strip together: ``position_mm`` of the encoder, ``strip_mm`` of the strip.
 
     ``still`` is the driver's judgement over a dwell: the speed within a window, and drive and strip
-    each within a window of position. A speed alone does not say it: a servo that holds a position
-    dithers, and a creep is slow. Positions of a slide that stands are medians of at least five
+    each within a window of position. A speed alone does not suffice: a servo that holds a position
+    dithers, and a creep is slow. Positions of a slide at rest are medians of at least five
     readings of the drive and of the same five of the strip; ``taken_s`` is when the newest of them
     arrived, which agrees with the others. For a slide that moves it is the newest. ``ended_s`` is
-    when the last motion was seen to have ended; None where none has since connect.
+    when the end of the last motion was detected; None for none since connect.
     """
 
     position_mm: float
@@ -111,7 +111,7 @@ class LinkStatistics:
 class RobotReading:
     """Joints (6,) in rad, pose (4, 4) of {T} in {B} in mm as the controller states it.
 
-    ``ended_s`` is when the last motion was seen to have ended; None where none has since connect.
+    ``ended_s`` is when the end of the last motion was detected; None for none since connect.
     ``by_factory_links``: the controller computes with links that its maker has measured on this
     very arm, so the pose may be millimetres off that of the nominal ones.
     """
@@ -175,7 +175,7 @@ class StreamBlock:
 class JointSample:
     """Joints (6,) of a moving robot, read between two times of the cell's clock.
 
-    ``device_s`` is when the controller took them, by its own clock; NaN where it does not say.
+    ``device_s`` is when the controller took them, by its own clock; NaN where it has none.
     """
 
     joints_rad: Array
@@ -222,7 +222,7 @@ class Rail(Protocol):
     def settle(self) -> RailReading:
         """Return a reading at rest; raise `DeviceError` when the slide does not come to rest.
 
-        Raises `StripLost` when it stands, and the strip does not say where.
+        Raises `StripLost` when it is at rest and the strip has no valid position.
         """
 
     def read(self) -> RailReading:
@@ -232,7 +232,7 @@ class Rail(Protocol):
         """Take the power to move away: drive disabled, brake closed."""
 
     def statistics(self) -> LinkStatistics:
-        """Return the wire's counts, also after ``close``; any thread, asks nobody."""
+        """Return the wire's counts, also after ``close``; any thread, without I/O."""
 
     def stop(self) -> None:
         """Quick stop, without waiting for an answer."""
@@ -242,7 +242,7 @@ class Rail(Protocol):
 
 
 class Robot(Protocol):
-    """A six-axis robot that goes to joint angles. ``stop`` may come from any thread."""
+    """A six-axis robot that moves to joint angles. ``stop`` may come from any thread."""
 
     def connect(self) -> list[Identity]:
         """Open the wire, verify identity, mode, tool and base; nothing moves."""
@@ -251,8 +251,8 @@ class Robot(Protocol):
         """Move all axes in step (synchronous PTP); return the reading at rest, after the motion.
 
         ``speed_percent``, 1 to 100, is of the axes' full speeds, ``robot.joint.speed_deg_s`` of the
-        cell file, at the full override: the axis that would take longest turns at this share of its
-        own, the others keep step. A controller that knows whole percents takes the nearest.
+        cell file, at the full override: the axis that would take longest moves at this share of its
+        own, the others keep step. A controller with whole percents takes the nearest.
         Raises `DeviceError` for any other value, before anything moves.
         """
 
@@ -301,7 +301,7 @@ class Stream(Protocol):
 
 
 class Sweep(Protocol):
-    """A robot that turns one axis at constant speed, with its joints read meanwhile."""
+    """A robot that moves one axis at constant speed, with its joints read meanwhile."""
 
     speed_rad_s: float  # that the controller is set to
     ended: bool  # the controller has acknowledged the end of the motion
@@ -310,7 +310,7 @@ class Sweep(Protocol):
         """Start the motion."""
 
     def collect(self) -> JointSample:
-        """Ask for the joints once, and look whether all is well and the motion has ended."""
+        """Read the joints once; check the state and whether the motion has ended."""
 
     def complete(self) -> RobotReading:
         """Wait for the end of the motion; return the reading at rest."""
@@ -328,7 +328,7 @@ class Streams(Protocol):
 
 @runtime_checkable
 class TwoFaces(Protocol):
-    """A tracker that turns over and sees the same reflector in its second face, the back sight.
+    """A tracker that measures the same reflector in its second face, the back sight.
 
     Errors of its axes have the other sign there: collimation, transit tilt, index.
     """
@@ -347,10 +347,10 @@ class StatesAccuracy(Protocol):
 
 @runtime_checkable
 class Sweeps(Protocol):
-    """A robot that turns one axis slowly."""
+    """A robot that moves one axis slowly."""
 
     def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> AbstractContextManager[Sweep]:
-        """Prepare a motion of ``axis`` (0 to 5) alone, from where the robot stands.
+        """Prepare a motion of ``axis`` (0 to 5) alone, from where the robot is.
 
         Its speed is the next one that the controller has, not above ``speed_rad_s``.
         """
@@ -360,12 +360,12 @@ class Sweeps(Protocol):
 class ExternalAxis(Protocol):
     """A robot whose controller moves the slide, too, over the robot's one connection.
 
-    The arm's own motions carry the slide's held value: the slide stands meanwhile. ``connect``,
+    The arm's own motions carry the slide's held value: the slide is at rest meanwhile. ``connect``,
     ``stop`` and ``close`` of the robot are those of the slide.
     """
 
     def verify_axis(self) -> Identity:
-        """Return the axis, found ready to move; raises `DeviceError`. Nothing moves."""
+        """Verify that the axis is ready to move; raises `DeviceError`. Nothing moves."""
 
     def read_axis(self) -> AxisReading:
         """Return a reading asked for after this call began."""
@@ -377,10 +377,10 @@ class ExternalAxis(Protocol):
         full_mm_s: float,
         attend: Callable[[float], object],
     ) -> None:
-        """Move the slide alone; return when it stands there; it may move again.
+        """Move the slide alone; return when it is at rest there; it may move again.
 
         ``full_mm_s`` is the axis' speed at 100 %; raises `DeviceError` where it runs faster.
-        ``attend`` takes the slide's place, mm, at each look; its errors end the motion.
+        ``attend`` takes the slide's position, mm, at each poll; its errors end the motion.
         """
 
     def hold_axis(self) -> None:
@@ -439,7 +439,7 @@ class InProcessCell(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Exercise:
-    """A fault to practise on: in plain words, with the code of the alarm that a run raises."""
+    """A fault for training: its title, and the code of the alarm that a run raises."""
 
     title: str
     alarm: str

@@ -23,16 +23,24 @@ def clean(text: str) -> str:
 
 
 def harmless(text: str) -> str:
-    """Return ``text`` with every character that is not seen as itself replaced, so it shows."""
-    unseen = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")  # controls, formats, surrogates, separators
+    """Return ``text`` with every invisible character replaced by a visible one."""
+    invisible = (
+        "Cc",
+        "Cf",
+        "Cs",
+        "Co",
+        "Cn",
+        "Zl",
+        "Zp",
+    )  # controls, formats, surrogates, separators
     return "".join(
-        REPLACEMENT if unicodedata.category(character) in unseen else character
+        REPLACEMENT if unicodedata.category(character) in invisible else character
         for character in text
     )
 
 
 def harmless_lines(text: str) -> str:
-    """Return ``text`` with its line breaks, but nothing else that a terminal obeys."""
+    """Return ``text`` with its line breaks, but no other control characters."""
     return "\n".join(map(harmless, text.split("\n")))
 
 

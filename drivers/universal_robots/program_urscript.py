@@ -61,7 +61,7 @@ _QUIET = re.compile(r"\"[^\"]*\"|#.*")
 
 
 class UrScriptError(HilcellError):
-    """A statement that is refused; the message says why, its reader says where."""
+    """A statement that is refused; the message states why, its reader adds where."""
 
 
 class Statement(NamedTuple):
@@ -265,7 +265,7 @@ class _Reader:
         self._assigned: dict[str, list[int]] = defaultdict(list)
         self._functions = set[str]()
         self._moved = 0
-        self._open = list[int]()  # lines of the blocks that a statement stands in
+        self._open = list[int]()  # lines of the blocks around a statement
         self._main = 0  # the line of the first def
 
     def read(self, found: list[Statement]) -> list[str]:
@@ -285,7 +285,7 @@ class _Reader:
         return [f"line {line}: {problems[line]}" for line in sorted(problems)]
 
     def notes(self) -> list[str]:
-        """Return notes on all that was left, and on conditions that nobody checks."""
+        """Return notes on all that was left, and on conditions that are not checked."""
         left = [name for name in self._poses if name not in self.targets]
         notes = [f"not used by a motion, left: {', '.join(left)}"] if left else []
         if self.tcp is None:

@@ -1,8 +1,8 @@
 """The messages of a wire: their ends, and the parts of them that only number an exchange.
 
-A dialect splits the bytes of both ways into messages, and names those of the driver: messages of
-one name ask the same. ``answer`` puts the number of a new question in the place of the recorded
-one's.
+A dialect splits the bytes of both directions into messages, and names those of the driver:
+messages of one name ask the same. ``answer`` puts the number of a new question in the place of the
+recorded one's.
 
 The dialects of a device are found by its driver's name among the entry points
 ``hilcell.wire_dialects``: a function of the cell file's options that returns them by the names of
@@ -51,7 +51,7 @@ class Dialect:
         """Take note of a message that has no part in any exchange."""
 
     def is_command(self, message: bytes) -> bool:
-        """Whether a message is sent as often as the work wants it, and never to look."""
+        """Whether a message commands something, and is never a poll."""
         return False
 
     def belongs(self, answer: bytes, asked: bytes) -> bool:
@@ -171,7 +171,7 @@ class C3(Sized):
         return message[2:]
 
     def belongs(self, answer: bytes, asked: bytes) -> bool:
-        """Whether both have one tag: a stop's reply is awaited by nobody and comes when it may."""
+        """Whether both have one tag: a stop's reply is not awaited and comes at any time."""
         return answer[:2] == asked[:2]
 
     def answer(self, asked: bytes, recorded: bytes, answer: bytes) -> bytes:
@@ -179,7 +179,7 @@ class C3(Sized):
         return asked[:2] + answer[2:]
 
     def alive(self, asked: bytes) -> list[bytes]:
-        """Return the reply to a write of the timer that ends a motion which nobody watches."""
+        """Return the reply to a write of the timer that ends an unsupervised motion."""
         write, life, written = b"\1", b"$TIMER[10]", b"\0\1\1"  # C3 Bridge
         if asked[4:5] != write or life not in asked:
             return []

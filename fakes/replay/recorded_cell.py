@@ -119,7 +119,7 @@ def _other_cell(cell: Cell, folder: Path, head: RunHeader) -> list[str]:
 
 
 def _missing(cell: Cell, found: Set[str]) -> Iterator[str]:
-    """Return, in words, the wires of a cell of which there is no recording."""
+    """Return as text the wires of a cell of which there is no recording."""
     anywhere = placeholder_addresses(cell)  # missing drivers are reported elsewhere
     stated = checked_options(cell, anywhere, anywhere)
     for table, options in stated.items():
@@ -131,7 +131,7 @@ def _missing(cell: Cell, found: Set[str]) -> Iterator[str]:
 
 
 def without_dialect(cell: Cell, paths: Mapping[str, Path], wires: Recorded) -> Iterator[str]:
-    """Return, in words, the wires that are no plain lines, and of which no dialect is stated."""
+    """Return as text the wires that are no plain lines, and of which no dialect is stated."""
     plain, shown = re.compile(rb"[\t\r\n\x20-\xff]*"), 24  # bytes
     for name, found in wires.items():
         table = name.partition(".")[0]
@@ -149,7 +149,7 @@ def without_dialect(cell: Cell, paths: Mapping[str, Path], wires: Recorded) -> I
 
 
 def _other_settings(cell: Cell, folder: Path, head: RunHeader) -> Iterator[str]:
-    """Return, in words, what was recorded with other settings."""
+    """Return as text what was recorded with other settings."""
     recorded = convert(head.cell, Cell, DATA)
     if changed := differences(_common(recorded), _common(cell)):
         act = f"use the cell file and settings of run {head.run}"
@@ -158,7 +158,7 @@ def _other_settings(cell: Cell, folder: Path, head: RunHeader) -> Iterator[str]:
 
 def _common(cell: Cell) -> Cell:
     """Return a cell without what another PC may have otherwise: texts of options are addresses,
-    paths and what a device says of itself when it connects.
+    paths and what a device reports of itself at connect.
     """
     tables = {
         table: msgspec.structs.replace(one, options=_figures(one.options))
@@ -254,7 +254,7 @@ class RecordedCell:
 class RecordedClock:
     """The cell's clock as it was, in which every wait is over at once.
 
-    Every wait on a wire looks here, so here a run learns that its recording goes no further.
+    Every wait on a wire calls `check`, so here a run is ended with its recording.
     """
 
     def __init__(self, looks: ClockReadings, time: EventTime, stop: Event, act: str) -> None:

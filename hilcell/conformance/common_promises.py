@@ -45,7 +45,7 @@ STOP_S = 0.02
 MOVING_S = 0.7
 END_S = 10.0
 STANDS_S = 0.3
-# A device has seen by then that its client is gone; `travel` would have ended by then, too.
+# A device has detected by then that its client has closed; `travel` would have ended, too.
 GONE_S = 5.0
 
 
@@ -168,7 +168,7 @@ def wrong_serial(bench: Bench) -> None:
 
 
 def _other_serials(options: msgspec.Struct) -> Iterator[tuple[str, dict[str, object]]]:
-    """Yield changes of one serial number each, in words and as options; of parts as well."""
+    """Yield changes of one serial number each, as text and as options; of parts as well."""
     for key in options.__struct_fields__:
         value = getattr(options, key)
         if isinstance(value, msgspec.Struct):
@@ -320,7 +320,7 @@ def late(bench: Bench) -> None:
         bench.use.ready(driver)
         reading = bench.use.visit(driver, 1)
     bench.require_at(reading, 1)
-    # A tracker's first request, its measurement, is kept back by itself.
+    # A tracker's first request, its measurement, is held by itself.
     for requests in (1,) if bench.port == "tracker" else (0, 1):
         bench.reset()
         _late_during_motion(bench, requests)
@@ -331,7 +331,7 @@ def late(bench: Bench) -> None:
 def _answered_again(bench: Bench) -> None:
     """Have an old answer come once more, ahead of the right one, though the driver gave none up.
 
-    Only its number, where the protocol has one, tells it from the right one.
+    Only its number, where the protocol has one, distinguishes it from the right one.
     """
     driver = bench.connected()
     bench.use.visit(driver, 0)
@@ -351,7 +351,7 @@ def _answered_again(bench: Bench) -> None:
 
 
 def _late_during_motion(bench: Bench, requests: int) -> None:
-    """Do so with answers on the way to a place, after so many requests of the driver.
+    """Hold answers during a motion to a place, after so many requests of the driver.
 
     The next question comes when all has ended, so an old answer does not happen to be right.
     """
@@ -498,7 +498,7 @@ def checked(bench: Bench) -> None:
 
 
 def _prompt(what: str, tries_s: Iterable[float], limit_s: float) -> None:
-    """Have one of some times be short enough: a busy PC may delay the others."""
+    """Require that one of some times is short enough: a busy PC may delay the others."""
     best_s = math.inf
     for took_s in tries_s:
         best_s = min(best_s, took_s)
@@ -523,7 +523,7 @@ def _start_travel(bench: Bench) -> tuple[Driver, Task]:
 
 
 def main() -> None:
-    """Connect, say so, and begin what takes seconds."""
+    """Connect, report it, and start `travel`."""
     order = decoded(sys.stdin.buffer.readline(), Order)
     sys.path[:] = order.path
     built: list[Driver] = []

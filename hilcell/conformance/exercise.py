@@ -28,7 +28,7 @@ class DeviceUse(ABC):
 
     tolerance: float  # of `off`
     unit: str
-    travel_text: str  # `travel` in words
+    travel_text: str  # text of `travel`
     absent = ""  # why there is no device; "" where there is one
 
     def __init__(self, cell: Cell) -> None:
@@ -54,7 +54,7 @@ class DeviceUse(ABC):
         """Do what takes seconds."""
 
     def before_end(self, reading: Reading) -> bool:
-        """Whether a device stands before the end of `travel`; a measurement leads nowhere."""
+        """Whether a device is before the end of `travel`; always for a measurement."""
         return True
 
     def slow_options(self) -> dict[str, object]:
@@ -85,7 +85,7 @@ class _RailUse(DeviceUse):
             self.places_mm = (first_mm, first_mm)
 
     def ready(self, device: Rail) -> None:
-        """Find the reference, unless drive and strip agree: that proves it, as in a run."""
+        """Find the reference, unless drive and strip agree: that verifies it, as in a run."""
         reading = device.settle()
         apart_mm = abs(reading.position_mm - reading.strip_mm)
         if not apart_mm <= self.cell.rail.slip_limit_mm:

@@ -1,4 +1,4 @@
-"""All promises: those of a rail, a robot, a tracker alone stand here.
+"""All promises: those of one port are here.
 
 ``python -m hilcell.conformance.promises`` reads docs/conformance.md on stdin, and writes it with
 its table of promises renewed.

@@ -1,4 +1,4 @@
-"""One driver on trial: the device on which it is tried, and its promises judged on it.
+"""One driver under test: the device on which it is tested, and its promises judged on it.
 
 A bench is a simulated device, with wires between it and the driver that fail on demand. Promises
 that wait until the driver gives up (half a minute for a tracker that measures) are judged beside
@@ -42,7 +42,7 @@ Settings = tuple[Callable[..., Driver], msgspec.Struct]  # a driver's class and 
 
 
 class Finding(HilcellError):
-    """Why a promise is not simply held; the text says it in full."""
+    """Why a promise is not kept, or cannot be judged; the text states it in full."""
 
     verdict: Verdict
 
@@ -54,13 +54,13 @@ class Broken(Finding):
 
 
 class NeedsPerson(Finding):
-    """Nobody is there to do, or to agree to, what the promise needs."""
+    """The promise needs a person to do or to confirm something."""
 
     verdict = "needs a person"
 
 
 class NotApplicable(Finding):
-    """The promise is none of this driver's."""
+    """The promise does not apply to this driver."""
 
     verdict = "not applicable"
 
@@ -87,8 +87,8 @@ def expect_error(what: str, call: Callable[[], object]) -> DeviceError:
 class RailWithRobot:
     """A rail that is an external axis, with the robot whose axis it is: one device.
 
-    A run opens the robot before the rail, and leaves both. So what a promise says of connect, close
-    and the wire is said of the two of them.
+    A run opens the robot before the rail, and closes both. So a promise about connect, close and
+    the wire is about both.
     """
 
     def __init__(self, rail: Driver, robot: Driver) -> None:
@@ -212,7 +212,7 @@ class Bench:
         return device
 
     def replace_device(self) -> None:
-        """End the device without a word, and have another in its place."""
+        """End the device without notice, and start another in its place."""
         wires = self.wires
         wires.refuse()
         self._end_simulation()
@@ -253,7 +253,7 @@ class Bench:
             with suppress(Exception):  # of a driver on trial, whose promise is judged already
                 device.close()
         if self._built:
-            self._wires.drop()  # what is under way holds a connection open
+            self._wires.drop()  # a command in progress keeps a connection open
         self._built.clear()
 
     def close(self) -> None:
@@ -306,7 +306,7 @@ class Promises(list[Promise]):
     """Promises in the order in which they are judged."""
 
     def add(self, name: str, *ports: Port, **flags: bool) -> Callable[[Check], Check]:
-        """Return what adds the promise of a check, which its docstring says in a sentence."""
+        """Return the decorator that adds a check as a promise; its docstring is the sentence."""
 
         def added(check: Check) -> Check:
             self.append(Promise(name, check.__doc__ or "", check, ports or PORTS, **flags))
@@ -349,7 +349,7 @@ def judge(promise: Promise, bench: Bench) -> Outcome:
 
 
 class Trial:
-    """Two benches of one driver, one whose time passes as fast as it goes, one in real time."""
+    """Two benches of one driver, one as fast as possible, one in real time."""
 
     def __init__(
         self,
@@ -370,7 +370,7 @@ class Trial:
 
     def __exit__(self, *exception: object) -> None:
         for each in self._beside:
-            each.clock.stop.set()  # nobody asks for its finding any more
+            each.clock.stop.set()  # its outcome is no longer needed
         for future in self._judged.values():
             future.exception()
         for each in (*self._beside, *self._in_turn.values()):

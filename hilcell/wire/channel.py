@@ -41,12 +41,12 @@ class SerialLine(Struct, frozen=True, tag=True):
 
 
 def parse_channel(channel: str) -> Socket | SerialLine:
-    """Return where a channel leads; raises `ValueError` for one of neither form."""
+    """Return the place of a channel; raises `ValueError` for one of neither form."""
     if "://" in channel:
         url = urlsplit(channel)
         try:
             port = url.port
-        except ValueError:  # none that could be one
+        except ValueError:
             port = None
         host, more = url.hostname or "", url.username or url.path or url.query or url.fragment
         if url.scheme != "socket" or more or not re.match(_HOST, host) or not port:
@@ -67,18 +67,18 @@ def parse_channel(channel: str) -> Socket | SerialLine:
 
 
 def wire_places(options: Mapping[str, object]) -> dict[str, Socket | SerialLine]:
-    """Return where wires lead, by name; a CAN interface of the kernel is left out."""
-    found: dict[str, Socket | SerialLine] = {}
+    """Return the places of wires by name; a CAN interface of the kernel is left out."""
+    places: dict[str, Socket | SerialLine] = {}
     host, channel = options.get("host"), options.get("channel")
     for key, value in options.items():
         if isinstance(value, Mapping):
             for name, place in wire_places(value).items():
-                found[f"{key}.{name}".removesuffix(".")] = place
+                places[f"{key}.{name}".removesuffix(".")] = place
         elif isinstance(host, str) and isinstance(value, int) and _is_port(key):
-            found[key.removesuffix(PORT).removesuffix("_")] = Socket(host, value)
+            places[key.removesuffix(PORT).removesuffix("_")] = Socket(host, value)
     if isinstance(channel, str) and not is_can_interface(options):
-        found[""] = parse_channel(channel)
-    return found
+        places[""] = parse_channel(channel)
+    return places
 
 
 def with_addresses(options: Mapping[str, object], channels: Mapping[str, str]) -> Json:
@@ -96,7 +96,7 @@ def with_addresses(options: Mapping[str, object], channels: Mapping[str, str]) -
 
 
 def is_can_interface(options: Mapping[str, object]) -> bool:
-    """Whether the channel is an interface of the kernel, which no relay can stand before."""
+    """Whether the channel is an interface of the kernel, which no relay can replace."""
     return options.get("interface") == "socketcan"
 
 

@@ -1,7 +1,7 @@
 """KRL as statements of tokens, and the points and frame data that they declare.
 
 A statement is a line; comments, ``&`` headers and a byte order mark at the begin are left out.
-Every token knows where it stands, so that a number can be replaced and all else stays byte for
+Every token has its position, so that a number can be replaced and all else stays byte for
 byte. ``;`` within a string starts no comment, and names ignore case. Points are aggregates
 ``{X 1.0,Y 2.0,...}``.
 
@@ -33,7 +33,7 @@ _TOKEN = re.compile(
 
 
 class KrlError(HilcellError):
-    """KRL that cannot be read; the message says what, its reader says where."""
+    """KRL that cannot be read; the message states what, its reader adds where."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,6 @@ class Token:
 
     @property
     def end(self) -> int:
-        """Return where the next character stands."""
         return self.start + len(self.text)
 
 
@@ -64,7 +63,6 @@ class Statement:
 
     @property
     def head(self) -> str:
-        """Return the first word."""
         return self.tokens[0].word
 
     @property
@@ -79,7 +77,7 @@ class Statement:
 
     @property
     def begins(self) -> str:
-        """Return the name of the program or function that it begins; "" for all others."""
+        """The name of the program or function that it begins; "" for all others."""
         words = [token.word for token in self.tokens if token.kind == "word"]
         words = words[1:] if words[:1] == ["GLOBAL"] else words
         at = {"DEF": 1, "DEFFCT": 2}.get(words[0] if words else "", len(words))
@@ -101,7 +99,7 @@ def statements(text: str) -> Iterator[Statement]:
 
 
 def split(tokens: Sequence[Token], sign: str) -> list[Sequence[Token]]:
-    """Split tokens at a sign that stands outside of all brackets."""
+    """Split tokens at a sign outside of all brackets."""
     parts, depth, begin = list[Sequence[Token]](), 0, 0
     for n, token in enumerate(tokens):
         depth += (token.text in "([{") - (token.text in ")]}")
@@ -141,7 +139,7 @@ MOST = {"S": 31, "T": 63}  # five bits of status; one bit of turn for each axis
 
 @dataclass(frozen=True, slots=True)
 class Datum:
-    """One declared value, or one aggregate in a motion: where it stands and its components."""
+    """One declared value, or one aggregate in a motion: its place and its components."""
 
     name: str
     kind: str

@@ -1,8 +1,8 @@
 """Reads a KRL program whose targets can be corrected safely; all else is refused, line by line.
 
-A program is ``NAME.src`` with its ``NAME.dat``. Only absolute motions to points that stand as
+A program is ``NAME.src`` with its ``NAME.dat``. Only absolute motions to points that are
 numbers in it are corrected. A point that the program reads, changes or hands on besides moving to
-it would carry its correction to places that nobody has checked, so that such a program is refused.
+it would carry its correction to unchecked places, so that such a program is refused.
 """
 
 from __future__ import annotations
@@ -179,7 +179,7 @@ class _Reader:
         self._missing: list[str] = []  # names that the data list beside it would have
         self._local = {name for each in found for name in _local(each)}
         self._assigned = {name for each in found for name in _assigned(each)}
-        self._places: set[int] = set()  # where the names of targets stand in motions
+        self._places: set[int] = set()  # of the names of targets in motions
         self._moves_in: dict[str, int] = {}  # subprograms that move to a target, by the first line
         self._left: dict[str, int] = {}  # homes and other files' programs, by their first line
         self._stops: dict[int, list[Stop]] = {}  # by the line of their motion
@@ -252,7 +252,7 @@ class _Reader:
 
     @cached_property
     def _external(self) -> ExternalRule:
-        """Return where the external axes stand at the targets."""
+        """The external axes at the targets."""
         return ExternalRule(self._file, self._blocks, self._stops, self.targets)
 
     def _notes(self) -> list[str]:
@@ -461,7 +461,7 @@ class _Reader:
 
     @staticmethod
     def _refuse_motions(statement: Statement) -> None:
-        """Refuse the motions that cannot be corrected, wherever in the statement they stand."""
+        """Refuse the motions that cannot be corrected, wherever in the statement they are."""
         for at, token in enumerate(statement.tokens):
             word = token.word
             if word.endswith("_REL") and word.removesuffix("_REL") in (*ABSOLUTE, "CIRC", "SCIRC"):
@@ -477,7 +477,7 @@ class _Reader:
 
     @staticmethod
     def _is_header(statement: Statement) -> bool:
-        """Whether it declares programs and their parameters, where ``:`` states a way."""
+        """Whether it declares programs and their parameters, where ``:`` states a direction."""
         words = ("DEF", "DEFFCT", "EXT", "EXTFCT", "EXTP", "EXTFCTP", "CHANNEL")
         return statement.head in words or bool(statement.begins)
 

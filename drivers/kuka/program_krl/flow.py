@@ -58,7 +58,7 @@ class Flow(Generic[State]):
     """Follows states through a program's statements by ``step``, which acts on each of them.
 
     Of states with one ``key`` the first stands for all: where each branch gave a state of its own,
-    the ways through 600 branches would be 600 times as many.
+    the paths through 600 branches would be 600 times as many.
     """
 
     DEEPEST = 50  # calls of subprograms within one another: controllers have at most 20
@@ -81,7 +81,7 @@ class Flow(Generic[State]):
         self._entries = [name for n, name in enumerate(blocks) if n == 0 or name not in called]
 
     def follow(self, begin: State) -> None:
-        """Follow the first program, and each that no way from others leads to, from ``begin``.
+        """Follow the first program, and each that no path from others leads to, from ``begin``.
 
         Raises `KrlError` where subprograms call one another too deeply.
         """
@@ -142,7 +142,7 @@ class Flow(Generic[State]):
     def _close(
         begun: _Open, end: int, block: Sequence[Statement], following: list[list[int]]
     ) -> None:
-        """Lead the ways of a branch or loop that ends at ``end`` to where they go on."""
+        """Lead the paths of a branch or loop that ends at ``end`` to their successors."""
         at, parts = begun.at, begun.parts
         if begun.word in LOOPS:
             following[end] = [at] if begun.word != "REPEAT" else [at, end + 1]
@@ -185,7 +185,7 @@ class Flow(Generic[State]):
 class Stop(NamedTuple):
     """Where a motion may end: at a target, ``key``, or at joints.
 
-    ``values`` are those it states, by component; None where they stand in no file at hand.
+    ``values`` are those it states, by component; None where they are in none of the files.
     ``status`` is S where a motion by joints states it.
     """
 
@@ -298,7 +298,7 @@ class ExternalRule:
         return known[0] if known else None
 
     def _by(self, target: Target, axis: str, line: int) -> str:
-        """Return in words which motion gave a target its value; "" where it states it itself."""
+        """Return the motion that gave a target its value; "" where the target states it."""
         return "" if axis in target.numbers else f" of {self._file} line {line}"
 
 
@@ -310,7 +310,7 @@ class Bits(NamedTuple):
 
     @staticmethod
     def of_joints(values: Mapping[str, float]) -> Bits:
-        """Return the bits that joints in deg tell without the arm's links."""
+        """Return the bits that joints in deg determine without the arm's links."""
         a3_deg, a5_deg = ((values.get(name, 0.0) + 180.0) % 360.0 - 180.0 for name in ("A3", "A5"))
         elbow, wrist, known, status = 0b010, 0b100, 0, 0
         if abs(a3_deg) > 15.0:  # an arm is stretched at some degrees beside zero, by its links
@@ -422,7 +422,7 @@ class StrokeRule:
         return [] if statement.line in self._read_at_calls else self._from(statement)
 
     def _from(self, statement: Statement) -> list[Relative]:
-        """Return the strokes from where the robot stands now."""
+        """Return the strokes from the current place of the robot."""
         keys, self._keys = self._keys, ()  # where it leads is not known if it is refused
         shift_mm = self._shift(statement)
         if self._interrupted:
@@ -471,7 +471,7 @@ class StrokeRule:
             raise KrlError(f"{head}: expected a relative motion by a structure of numbers")
         end = closing(tokens, 0) + 1
         fields = aggregate(tokens[:end])
-        rest = tokens[end:]  # approximations may stand around its frame
+        rest = tokens[end:]  # approximations may surround its frame
         words = [token.word for token in rest if token.text != ","]
         frames = [word for word in words if word in ("#TOOL", "#BASE")]
         left = set(words) - {"#TOOL", "#BASE", "C_DIS", "C_VEL", "C_ORI", "C_SPL"}

@@ -7,7 +7,7 @@ controller's own tables, or a place that the program states: a structure, ``$NUL
 or a frame of the program's data list, which hides a table of the same name. Home moves bring frame
 data of their own, which count for nothing as long as only home moves use them. Statements that may
 not be executed are refused: within a branch, after a jump, in a subprogram. Here the text's order
-counts; `check_modal` follows the ways through the program.
+counts; `check_modal` follows the paths through the program.
 
 Base and tool stay as they were last set, past the ends of branches, loops and subprograms: a home
 move's frame data at a loop's end hold for the loop's begin, too. ``WITH`` holds for its own motion
@@ -98,7 +98,7 @@ class FrameRule:
         self._settings: dict[int, list[Callable[[Modal], Modal]]] = {}  # by their line
         self.motions: dict[int, tuple[str, str]] = {}  # by line: base's and tool's form by WITH
         self._changed: dict[str, int] = {}  # names that are assigned, by their first line
-        self.frames_used = set[str]()  # of the data list, which stand for a base or tool
+        self.frames_used = set[str]()  # of the data list, used as a base or tool
         self._moved = 0
         self._unsure = ""
 

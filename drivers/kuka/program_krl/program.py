@@ -47,7 +47,7 @@ USUAL_TOOL = 1  # of a cell that states none in robot.options, as the driver tak
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A point that motions use: its name, where it stands, its numbers.
+    """A point that motions use: its name, its place, its numbers.
 
     ``posture`` is S where a motion by joints uses it and S and T fix its joints to whole turns,
     ``status`` S where such a motion uses it.
@@ -121,8 +121,8 @@ class Program(programs.Program):
     def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> None:
         """Raise `TurnError` naming the points that ``command`` (N, 6) takes through a zero.
 
-        Targets and ``command`` stand in {W}; the nominal ``arm`` at ``T_W_B`` says where the joints
-        stand. The bits of S are those of a posture's status in `hilcell.geometry.inverse`.
+        Targets and ``command`` are in {W}; the nominal ``arm`` at ``T_W_B`` gives the joints. The
+        bits of S are those of a posture's status in `hilcell.geometry.inverse`.
         """
         T_B_W = inverse(T_W_B)
         problems = []
@@ -162,7 +162,7 @@ class Program(programs.Program):
 
     @property
     def remarks(self) -> list[str]:
-        """Return what stands behind a semicolon in the files."""
+        """The comments of the files."""
         lines = [line for text in self.texts.values() for line in text.splitlines()]
         return [remark for _, sign, remark in (line.partition(";") for line in lines) if sign]
 
@@ -290,7 +290,7 @@ def _data(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:
 
 
 def _via(program: StationProgram, number: int) -> list[str]:
-    """Return the names of the points on the way to a hole, counted from 1, or to the safe pose."""
+    """Return the names of the points of the path to a hole, counted from 1, or to the safe pose."""
     count = len(program.via[number - 1].values)
     return [f"XV{number}_{n}" for n in range(1, count + 1)]
 
