@@ -30,7 +30,7 @@ from drivers.device_errors import ProtocolError
 from drivers.kuka import krl, robot_c3
 from drivers.kuka.program_krl.files import read_program
 from drivers.leica import emscon
-from fakes.leica import emscon_packets
+from fakes.leica import emscon_server
 from hilcell.alarms import Latch
 from hilcell.calibration.file import SEAL, _seal, read_calibration, write_calibration
 from hilcell.cell.file import load_cell
@@ -105,10 +105,10 @@ def tracker(data: bytes) -> None:
 
 
 def tracker_samples() -> Iterable[bytes]:
-    yield emscon_packets.single_result(tuple(float(n) for n in range(17)))
-    yield emscon_packets.status_change(1)
+    yield emscon_server.single_result(tuple(float(n) for n in range(17)))
+    yield emscon_server.status_change(1)
     for size in (0, 8, 40, 100):
-        yield emscon_packets.reply(1, body=bytes(range(size)))
+        yield emscon_server.reply(1, body=bytes(range(size)))
 
 
 def robot(data: bytes) -> None:

@@ -30,8 +30,8 @@ from fakes.canopen.slave import (
 from fakes.canopen.slcan_gateway import BusServer
 from fakes.faults import Faults
 from fakes.site import Site
-from fakes.strips.wire import STRIP_NODE, RailStrip
-from fakes.strips.wire import serve as strip_server
+from fakes.strip import STRIP_NODE, RailStrip
+from fakes.strip import serve as strip_server
 from fakes.truth.noise import Dither
 from fakes.truth.rail_truth import RailState, RailTruth
 from hilcell.cell.file import RailTable

@@ -76,8 +76,8 @@ GROUPS: Mapping[str, Commands] = {
         "stop": (signatures.Stop, "control:stop"),
         "watch": (signatures.Watch, "control:watch"),
         "tui": (signatures.Tui, "tui:tui"),
-        "plan": (signatures.Plan, "prepare:plan"),
-        "prepare": (signatures.Prepare, "prepare:prepare"),
+        "plan": (signatures.Plan, "targets:plan"),
+        "prepare": (signatures.Prepare, "targets:prepare"),
         "compensate": (signatures.Compensate, "targets:compensate"),
     },
     "records": {

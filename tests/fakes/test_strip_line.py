@@ -6,7 +6,7 @@ from contextlib import closing
 
 from fakes.faults import Faults
 from fakes.site import Site
-from fakes.strips.wire import StripLine
+from fakes.strip import StripLine
 from fakes.time import CellTime
 from fakes.truth.cell_truth import CellTruth
 from hilcell.cell.file import Cell

@@ -15,7 +15,7 @@ import pytest
 
 from fakes.faults import Faults
 from fakes.site import Site
-from fakes.spatialanalyzer.t2sa_server import T2saDevice, T2saServer, imported, target_fan, write
+from fakes.t2sa_server import T2saDevice, T2saServer, imported, target_fan, write
 from fakes.time import CellTime
 from fakes.truth.cell_truth import CellTruth
 from hilcell.cell.file import Cell

@@ -333,7 +333,7 @@ def test_what_was_not_seen_at_rest_is_shown_of_the_journal_too(
         said = capsys.readouterr()
         assert "robot could not be confirmed at rest" in " ".join((said.out + said.err).split())
     assert main(["show", "r1", "--json", "--runs", str(tmp_path)]) == 0
-    assert "use the E-stop" in json.loads(capsys.readouterr().out)["not_at_rest"]
+    assert "press the E-stop" in json.loads(capsys.readouterr().out)["not_at_rest"]
 
 
 def test_a_run_whose_devices_stand_says_nothing_of_that(

@@ -1,1 +1,0 @@
-"""SpatialAnalyzer's bridge T2SA, and the instrument behind it."""

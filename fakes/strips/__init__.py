@@ -1,1 +1,0 @@
-"""Magnetic strips on a wire of their own."""
