@@ -18,10 +18,10 @@ from typing import Any
 
 import pytest
 
+from fakes import strip
 from fakes.canopen import rail_server
 from fakes.kuka.controller import KrlController
-from fakes.leica.emscon_packets import wide
-from fakes.strips import wire
+from fakes.leica.emscon_server import wide
 from hilcell.commands import run as run_command
 from hilcell.commands.cli import main
 from hilcell.conformance import promises
@@ -43,7 +43,7 @@ def machines(folder: Path, speed: float) -> Iterator[list[str]]:
     """Yield the words that name a cell of machines, and a slow one."""
     cell = shop_cell(folder)
     with pytest.MonkeyPatch.context() as plates:
-        for module in (rail_server, wire):
+        for module in (rail_server, strip):
             plates.setattr(module, "IDENTITY", replace(module.IDENTITY, name="of the plant"))
         plates.setattr(KrlController, "_identity", lambda self: f'"{self._arm.model}"')
         plates.setattr(
