@@ -134,42 +134,45 @@ class Change(msgspec.Struct, frozen=True):
         return self.ratio <= self.limit
 
 
-def changed(found: Differences, arm: Arm, noticed_by: str) -> Change:
+def changed(differences: Differences, arm: Arm, noticed_by: str) -> Change:
     """Return what two visits of the same poses have shown.
 
     Two tests: whether chance explains all differences together, and whether one cause explains
     them better than chance would make it. The second finds a change that each pose hides.
     """
-    d = found.difference_mm.reshape(-1)
-    chi2 = float(d @ np.linalg.solve(found.covariance_mm2, d))
-    explained = _explained(found, arm, noticed_by)
+    d = differences.difference_mm.reshape(-1)
+    chi2 = float(d @ np.linalg.solve(differences.covariance_mm2, d))
+    explained = _explained(differences, arm, noticed_by)
     risk = RISK / len(explained)
     limits = {
-        k: f_quantile(1.0 - risk, k, found.freedom) for k in {each.parameters for each in explained}
+        k: f_quantile(1.0 - risk, k, differences.freedom)
+        for k in {each.parameters for each in explained}
     }
-    tests = [(chi2 / len(d), SPREAD * f_quantile(1.0 - RISK, len(d), found.freedom))]
+    tests = [(chi2 / len(d), SPREAD * f_quantile(1.0 - RISK, len(d), differences.freedom))]
     tests += [((chi2 - e.left) / e.parameters, limits[e.parameters]) for e in explained]
     ratio, limit = max(tests, key=lambda test: test[0] / test[1])
     if ratio <= limit:
         return Change(ratio, limit, None)
-    return Change(ratio, limit, _named(found, arm, explained, noticed_by))
+    return Change(ratio, limit, _named(differences, arm, explained, noticed_by))
 
 
-def likeliest(found: Differences, arm: Arm, noticed_by: str) -> Suspicion:
+def likeliest(differences: Differences, arm: Arm, noticed_by: str) -> Suspicion:
     """Return the cause that leaves least, each parameter having to gain its penalty."""
-    return _named(found, arm, _explained(found, arm, noticed_by), noticed_by)
+    return _named(differences, arm, _explained(differences, arm, noticed_by), noticed_by)
 
 
-def _named(found: Differences, arm: Arm, explained: list[_Explained], noticed_by: str) -> Suspicion:
+def _named(
+    differences: Differences, arm: Arm, explained: list[_Explained], noticed_by: str
+) -> Suspicion:
     best = min(explained, key=lambda each: each.penalised)
     if best.suspicion.cause is Cause.MOUNT_SLIPPED:
-        turns = _by_patterns(found, axis_6_pattern(arm, found.joints_rad), noticed_by)
+        turns = _by_patterns(differences, axis_6_pattern(arm, differences.joints_rad), noticed_by)
         best = min([best, *turns], key=lambda each: each.penalised)
-    d = found.difference_mm.reshape(-1)
+    d = differences.difference_mm.reshape(-1)
     most_left = 0.5  # of chi^2, by a cause that is named
-    if best.left <= most_left * float(d @ np.linalg.solve(found.covariance_mm2, d)):
+    if best.left <= most_left * float(d @ np.linalg.solve(differences.covariance_mm2, d)):
         return best.suspicion
-    rms_mm = float(np.sqrt(np.square(found.difference_mm).sum(axis=1).mean()))
+    rms_mm = float(np.sqrt(np.square(differences.difference_mm).sum(axis=1).mean()))
     return Suspicion(Cause.UNKNOWN, rms_mm, "mm", noticed_by)
 
 
@@ -183,23 +186,23 @@ class _Explained(NamedTuple):
         return self.left + PENALTY * self.parameters
 
 
-def _explained(found: Differences, arm: Arm, noticed_by: str) -> list[_Explained]:
-    causes = patterns(arm, found.joints_rad)
-    if found.rail.any():  # a slide at another place along it
-        column = np.tile(found.rail, len(found.joints_rad))[:, None]
+def _explained(differences: Differences, arm: Arm, noticed_by: str) -> list[_Explained]:
+    causes = patterns(arm, differences.joints_rad)
+    if differences.rail.any():  # a slide at another place along it
+        column = np.tile(differences.rail, len(differences.joints_rad))[:, None]
         causes = [*causes, Pattern(Cause.STRIP, column, 1.0, "mm")]
-    return _by_patterns(found, causes, noticed_by)
+    return _by_patterns(differences, causes, noticed_by)
 
 
 def _by_patterns(
-    found: Differences, causes: Sequence[Pattern], noticed_by: str
+    differences: Differences, causes: Sequence[Pattern], noticed_by: str
 ) -> list[_Explained]:
-    explained, weights = [], inverse_covariance(found.covariance_mm2)
+    explained, weights = [], inverse_covariance(differences.covariance_mm2)
     for cause, all_columns, factor, unit in causes:
-        for first in found.firsts:
+        for first in differences.firsts:
             columns = all_columns.copy()
             columns[3 * first :] = 0.0
-            left, size = left_by(found.difference_mm, weights, columns)
+            left, size = left_by(differences.difference_mm, weights, columns)
             suspicion = Suspicion(cause, factor * size, unit, noticed_by)
             explained.append(_Explained(suspicion, left, columns.shape[1]))
     return explained

@@ -86,7 +86,9 @@ def compared(log: Log, *, with_base: bool = True) -> list[Parameter]:
     risk = RISK / (6 * len(known) + 1)
     factor = float(np.sqrt(f_quantile(1.0 - risk, 1, freedom)))
     tolerance_limits = _Limits(log)
-    found = tolerance_limits.repeatability([np.array(cloud) for cloud in before.visits_mm], risk)
+    parameters = tolerance_limits.repeatability(
+        [np.array(cloud) for cloud in before.visits_mm], risk
+    )
     bounded = float(np.sqrt(3.0))  # of what is stated as a limit, which no change exceeds
     for key, then in known:
         both = log.frames[key].C + then.C
@@ -98,8 +100,8 @@ def compared(log: Log, *, with_base: bool = True) -> list[Parameter]:
             + tolerance_limits.growth(key, before)
         )
         limits = np.hypot(*np.sqrt([factor**2 * np.diag(noise), bounded**2 * np.diag(stated)]))
-        found += _coordinates(key, np.array(then.matrix), log.matrix(key), limits)
-    return found
+        parameters += _coordinates(key, np.array(then.matrix), log.matrix(key), limits)
+    return parameters
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,23 +133,23 @@ class _Limits:
         limit_mm2 += rectangular_variance(stated.smr_centring_limit_mm)
         if key != "base":
             return 2.0 * slide_covariance(self.log.cell, self.log.matrix(key), limit_mm2)
-        found = np.zeros((6, 6))
-        found[:3, :3] = 2.0 * limit_mm2 * np.eye(3)
-        return found
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3] = 2.0 * limit_mm2 * np.eye(3)
+        return covariance
 
     def growth(self, key: str, before: PreviousReference) -> Array:
         """Return what the room's change of temperature gives the change of a frame."""
-        found, now_c = np.zeros((6, 6)), self.log.temperatures_c()
+        covariance, now_c = np.zeros((6, 6)), self.log.temperatures_c()
         then_c = before.temperature_c if before.frames_c is None else before.frames_c
         if then_c is None or not now_c:
-            return found
+            return covariance
         at_mm = float(np.linalg.norm(self.log.matrix(key)[:3, 3]))
         if key == "base":
             at_mm += axis_6_height_mm(self.log.cell)  # from which its height is known
         change_k = float(np.mean(now_c)) - then_c
         rate = rectangular_variance(self.log.cell.uncertainty.arm_growth_um_m_k * 1e-6)
-        found[:3, :3] = rate * (change_k * at_mm) ** 2 * np.eye(3)
-        return found
+        covariance[:3, :3] = rate * (change_k * at_mm) ** 2 * np.eye(3)
+        return covariance
 
 
 def _coordinates(key: str, then: Array, now: Array, limits: Array) -> Iterator[Parameter]:
@@ -174,12 +176,12 @@ def noise_covariance(log: Log, key: str) -> Array:
     where they say where {S} is; a station's own is from there.
     """
     T, own = log.matrix(key), log.frames[key].C
-    found: Array = own + 2.0 * world_covariance(log, T[:3, 3])
+    covariance: Array = own + 2.0 * world_covariance(log, T[:3, 3])
     nests = log.select("slide", log.cell.grid.station)
     if key != "base" and nests:
         of_nest_mm2 = float(variances_mm2(nests).mean())
-        found += 2.0 * slide_covariance(log.cell, T, of_nest_mm2, nests=3)
-    return found
+        covariance += 2.0 * slide_covariance(log.cell, T, of_nest_mm2, nests=3)
+    return covariance
 
 
 def limit_covariance(log: Log, key: str) -> Array:
@@ -190,9 +192,9 @@ def limit_covariance(log: Log, key: str) -> Array:
     far_mm = float(lengths_mm(positions_mm(floor_points(log))).max())
     limit_mm = stated.tracker_limit_mm + 1e-6 * stated.tracker_limit_um_m * far_mm
     centring_mm2 = sum(map(rectangular_variance, (stated.drift_limit_mm, limit_mm)))
-    found: Array = world_covariance(log, at_mm, centring_mm2) - world_covariance(log, at_mm)
-    found[:3, :3] += hold_covariance(log.cell)
-    return 2.0 * found
+    covariance: Array = world_covariance(log, at_mm, centring_mm2) - world_covariance(log, at_mm)
+    covariance[:3, :3] += hold_covariance(log.cell)
+    return 2.0 * covariance
 
 
 # Distances of three nests hardly change where one rises straight out of their plane, but {W} tilts

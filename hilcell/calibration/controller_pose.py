@@ -104,15 +104,15 @@ def fitting(arm: Arm, joints_rad: Array, pose: Array) -> dict[str, float]:
     """Return which single links and tool coordinates explain a controller's pose (4, 4), best
     first: their names in the cell file, differences (mm, deg). Several at once are none.
     """
-    found = []
+    fits = []
     fitted = (*range(24), *range(30, 33))  # of `PARAMETERS` those that a cell file has
     for column in fitted:
         other, step = _fitted(arm, joints_rad, pose, column)
         left = deviation(other, joints_rad, pose)
         if left.holds:
-            found.append((left.off_mm, *_named(column, step)))
+            fits.append((left.off_mm, *_named(column, step)))
     listed = 3
-    return {name: by for _, name, by in sorted(found)[:listed]}
+    return {name: by for _, name, by in sorted(fits)[:listed]}
 
 
 def _fitted(arm: Arm, joints_rad: Array, pose: Array, column: int) -> tuple[Arm, float]:

@@ -120,7 +120,7 @@ def tracker_drift(log: Log) -> Suspicion | None:
     whitening = np.linalg.inv(np.linalg.cholesky(noise_at(noise, points)))
     white = (whitening @ off_mm[:, :, None]).ravel()
     groups = len({(p.set_up, p.id.nest) for p in points})
-    found = []
+    fits = []
     causes = (("mm of the tracker over the run", slice(0, 3), 1.0),
               ("urad of the tracker over the run", slice(3, 6), URAD))  # fmt: skip
     for unit, own, factor in causes:
@@ -128,8 +128,8 @@ def tracker_drift(log: Log) -> Suspicion | None:
         motion = np.linalg.lstsq(D, white, rcond=None)[0]
         left = float(np.square(white - D @ motion).sum())
         explained = float(np.square(white).sum()) - left
-        found.append((left, explained, motion, unit, own, factor))
-    left, explained, motion, unit, own, factor = min(found, key=lambda each: each[0])
+        fits.append((left, explained, motion, unit, own, factor))
+    left, explained, motion, unit, own, factor = min(fits, key=lambda each: each[0])
     freedom = 3 * (len(points) - groups) - 3
     sure = explained > 3 * SPREAD * f_quantile(1.0 - RISK / len(causes), 3, noise.freedom)
     chance = freedom * SPREAD * f_quantile(1.0 - RISK, freedom, noise.freedom)
@@ -222,7 +222,7 @@ def drift_cause(series: Series, arm: Arm) -> Suspicion | None:
     prior = np.eye(B.shape[1])
     prior[: len(known), : len(known)] = known
     kept = np.linalg.solve(np.eye(len(prior)) + prior @ B.T @ B, prior)
-    found = []
+    candidates = []
     for cause in causes:
         moved = cause.columns.reshape(len(series.share), 3, -1) * series.share[:, None, None]
         D = whitened(moved)
@@ -234,10 +234,10 @@ def drift_cause(series: Series, arm: Arm) -> Suspicion | None:
         limit = f_quantile(1.0 - RISK / len(causes), count, series.freedom)
         moved_mm = rms(np.linalg.norm((cause.columns @ slopes).reshape(-1, 3), axis=1))
         if explained > count * limit and moved_mm > series.floor_mm:
-            found.append((explained - PENALTY * count, cause, slopes))
-    if not found:
+            candidates.append((explained - PENALTY * count, cause, slopes))
+    if not candidates:
         return None
-    _, cause, slopes = max(found, key=lambda each: each[0])
+    _, cause, slopes = max(candidates, key=lambda each: each[0])
     size = float(slopes[0]) if len(slopes) == 1 else float(np.linalg.norm(slopes))
     unit = f"{cause.unit} over the run, as of {cause.cause}"
     poses_in_order = "all poses of the run, in their order"
@@ -252,10 +252,10 @@ def _of_model(at_mm: Array, causes: list[Pattern]) -> Array:
     """
     alike = np.dstack([cause.columns.reshape(len(at_mm), 3, -1) for cause in causes])
     along = (at_mm - at_mm.mean(axis=0))[:, None, [0, 2]] / np.ptp(at_mm, axis=0).max()
-    found = np.dstack([alike, alike * along[:, :, :1], alike * along[:, :, 1:]])
-    sizes = np.sqrt(np.square(found).sum(axis=1).mean(axis=0))
+    errors_mm = np.dstack([alike, alike * along[:, :, :1], alike * along[:, :, 1:]])
+    sizes = np.sqrt(np.square(errors_mm).sum(axis=1).mean(axis=0))
     model_mm = 0.05  # root mean square over the poses
-    return np.asarray(model_mm * found / sizes)
+    return np.asarray(model_mm * errors_mm / sizes)
 
 
 def pose_series(log: Log) -> Series | None:
@@ -325,11 +325,11 @@ def _hold(
     T_W_B = calibration.base(station.name)
     T_B_L = inverse(T_W_B) @ log.matrix("world")
     poses = forward(log.cell.robot.arm(), commanded_rad(points))
-    found = calibration.error_model().predict(poses)
-    off_mm = apply(T_B_L, positions_mm(points)) - poses[:, :3, 3] - found.error_mm
+    predicted = calibration.error_model().predict(poses)
+    off_mm = apply(T_B_L, positions_mm(points)) - poses[:, :3, 3] - predicted.error_mm
     R = T_B_L[:3, :3]
     noise_mm2 = visit_noise(log).covariances(points, R)
-    model_mm2 = no_less_than_nought(found.covariance_mm2 - R @ visit_noise(log).robot_mm2 @ R.T)
+    model_mm2 = no_less_than_nought(predicted.covariance_mm2 - R @ visit_noise(log).robot_mm2 @ R.T)
     shared = np.array([repeats[_place(point)] for point in points], dtype=float)
     covariance_mm2 = noise_mm2 + shared[:, None, None] * model_mm2
     return off_mm, covariance_mm2, _placed(log, T_W_B, points[0])
@@ -339,11 +339,11 @@ def _placed(log: Log, T_W_B: Array, point: Point) -> Array:
     """Return how well {B} is known at a hold, (6, 6) in {B}: strip, station frame, tracker."""
     cell, at_mm = log.cell, T_W_B[:3, 3]
     drift_mm2 = rectangular_variance(cell.uncertainty.drift_limit_mm)
-    found = base_covariance(log, cell.station_named(point.station))
-    found[:3, :3] += hold_covariance(cell)
-    found += world_covariance(log, at_mm, drift_mm2) * (2.0 if point.set_up else 1.0)
+    covariance = base_covariance(log, cell.station_named(point.station))
+    covariance[:3, :3] += hold_covariance(cell)
+    covariance += world_covariance(log, at_mm, drift_mm2) * (2.0 if point.set_up else 1.0)
     turn = np.kron(np.eye(2), T_W_B[:3, :3].T)
-    return np.asarray(turn @ found @ turn.T)
+    return np.asarray(turn @ covariance @ turn.T)
 
 
 # -- ambient temperature ---------------------------------------------------------------------------
@@ -560,10 +560,10 @@ def _framed_again(log: Log, R: Array) -> Array:
     """
     drift_mm2 = rectangular_variance(log.cell.uncertainty.drift_limit_mm)
     turn = np.kron(np.eye(2), R)
-    found = np.zeros((SIZE, SIZE))
+    covariance = np.zeros((SIZE, SIZE))
     at_mm = log.matrix("base")[:3, 3]
-    found[:6, :6] = 2.0 * turn @ world_covariance(log, at_mm, drift_mm2) @ turn.T
-    return found
+    covariance[:6, :6] = 2.0 * turn @ world_covariance(log, at_mm, drift_mm2) @ turn.T
+    return covariance
 
 
 def _of_targets(log: Log, fit: int) -> list[Suspicion]:
@@ -575,7 +575,7 @@ def _of_targets(log: Log, fit: int) -> list[Suspicion]:
     least_inside = 0.82  # of corrected targets, within bounds that 95 % should keep
     least_without_curves = 0.6  # where the gears' ripple is not known: 0.73 was seen
     least = least_inside if curves else least_without_curves
-    found = []
+    suspicions = []
     validation = "validation"
     for name in (station.name for station in log.cell.station):
         try:
@@ -599,8 +599,8 @@ def _of_targets(log: Log, fit: int) -> list[Suspicion]:
             [len(points)],
         )
         place = f"{validation} at {name}: {coverage.share:.0%} within their bounds"
-        found.append(likeliest(differences, log.cell.robot.arm(), place))
-    return found
+        suspicions.append(likeliest(differences, log.cell.robot.arm(), place))
+    return suspicions
 
 
 # -- scatter, and all comparisons together ---------------------------------------------------------
@@ -619,8 +619,8 @@ class Deviations(NamedTuple):
 
 def scattered(log: Log) -> Suspicion | None:
     """Return a repeatability worse than the run's own, where the corrected targets show it."""
-    found = log.once_measured(target_deviations)
-    return None if found is None else worst_scatter(found)
+    deviations = log.once_measured(target_deviations)
+    return None if deviations is None else worst_scatter(deviations)
 
 
 def worse_than_stated(log: Log) -> Suspicion | None:
@@ -653,12 +653,12 @@ def target_deviations(log: Log) -> Deviations | None:
     parts, arm = [], log.cell.robot.arm()
     for name in (station.name for station in log.cell.station):
         try:
-            found = validated_bounds(calibration, log, name)
+            validation = validated_bounds(calibration, log, name)
         except NoBound:  # the report says why
             return None
-        if found is None or len(found[0]) < 2:
+        if validation is None or len(validation[0]) < 2:
             continue
-        errors, bounds = found
+        errors, bounds = validation
         R = calibration.base(name)[:3, :3]
         joints_rad = commanded_rad(validation_points(log, name))
         J = zero_columns(arm, joints_rad)
@@ -676,18 +676,18 @@ def target_deviations(log: Log) -> Deviations | None:
     )  # fmt: skip
 
 
-def worst_scatter(found: Deviations) -> Suspicion | None:
+def worst_scatter(deviations: Deviations) -> Suspicion | None:
     """Return what the test farthest beyond its limit shows; None where chance explains all."""
-    off_mm, columns = found.off_mm, found.columns
-    weighted = np.linalg.solve(found.covariance_mm2, np.dstack([off_mm, columns]))
+    off_mm, columns = deviations.off_mm, deviations.columns
+    weighted = np.linalg.solve(deviations.covariance_mm2, np.dstack([off_mm, columns]))
     count, axes = len(off_mm), columns.shape[2]
-    limit = SPREAD * f_quantile(1.0 - RISK, 3 * count, found.freedom)
+    limit = SPREAD * f_quantile(1.0 - RISK, 3 * count, deviations.freedom)
     ratio = float(np.einsum("ni,ni->", off_mm, weighted[:, :, 0])) / (3 * count)
     tests = [(ratio, limit, rms(np.linalg.norm(off_mm, axis=1)), "mm")]
     along = np.einsum("nik,ni->nk", columns, weighted[:, :, 0])
     information = np.einsum("nik,nik->nk", columns, weighted[:, :, 1:])
     directions = 3  # of a covariance: one of them has a third of its degrees of freedom
-    limit = SPREAD * f_quantile(1.0 - RISK / axes, count, found.freedom / directions)
+    limit = SPREAD * f_quantile(1.0 - RISK / axes, count, deviations.freedom / directions)
     for axis in range(axes):
         known = information[:, axis] > 0.0
         ratio = float(np.mean(along[known, axis] ** 2 / information[known, axis]))

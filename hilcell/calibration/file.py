@@ -222,8 +222,8 @@ def read_calibration(path: Path) -> Calibration:
     try:
         schema = decoded(data, _Head).schema
         if schema != SCHEMA:
-            found = f"schema {schema:.6g}, expected {SCHEMA}; calibrate again"
-            raise SettingsError(str(path), [found])
+            problem = f"schema {schema:.6g}, expected {SCHEMA}; calibrate again"
+            raise SettingsError(str(path), [problem])
         content = msgspec.json.decode(data)
         problems = seal_problems(content)
         calibration = typed(content, Calibration)
@@ -316,7 +316,7 @@ MOST_MM = 1e6
 def file_problems(calibration: Calibration) -> list[str]:
     """Return in words everything that is wrong, each with the name of its field."""
     checks = _Checks(calibration)
-    found = [
+    problems = [
         *checks.name(),
         *checks.validity(),
         *checks.grid(),
@@ -327,7 +327,7 @@ def file_problems(calibration: Calibration) -> list[str]:
         *checks.targets(),
         *checks.verdicts(),
     ]
-    return found or list(checks.model())
+    return problems or list(checks.model())
 
 
 @dataclass(frozen=True, eq=False)
@@ -478,17 +478,17 @@ class _Checks:
                 yield f"{at}: passes, but its figures fail: {each.figures_text}"
 
     @staticmethod
-    def _is_covariance(found: Array) -> bool:
+    def _is_covariance(covariance: Array) -> bool:
         """Whether it is a covariance (7, 7): of sane size, symmetric, no negative variance."""
         most_variance = 1e12  # mm2, rad2, or a ratio squared
-        if found.shape != (SIZE, SIZE) or not np.abs(found).max() <= most_variance:
+        if covariance.shape != (SIZE, SIZE) or not np.abs(covariance).max() <= most_variance:
             return False
         rounding = 1e-6  # of a covariance, relative
-        if not np.abs(found - found.T).max() <= rounding * np.abs(found).max():
+        if not np.abs(covariance - covariance.T).max() <= rounding * np.abs(covariance).max():
             return False
         least_variance = 1e-30  # likewise; below is nought
-        scale = np.sqrt(np.maximum(np.diag(found), least_variance))
-        return bool(np.linalg.eigvalsh(found / np.outer(scale, scale)).min() >= -rounding)
+        scale = np.sqrt(np.maximum(np.diag(covariance), least_variance))
+        return bool(np.linalg.eigvalsh(covariance / np.outer(scale, scale)).min() >= -rounding)
 
     @staticmethod
     def _frame(name: str, frame: Array) -> Iterator[str]:

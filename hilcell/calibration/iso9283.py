@@ -166,26 +166,26 @@ class PoseTest(msgspec.Struct, frozen=True, kw_only=True):
     def figures(self) -> list[Worst]:
         worst, distance = self.worst, self.distance
         ends = f"{distance.start} to {distance.to}"
-        found = [
+        characteristics = [
             (AP, AP.symbol, worst.ap_pose, worst.ap_mm, worst.ap_u95_mm),
             (RP, RP.symbol, worst.rp_pose, worst.rp_mm, worst.rp_u95_mm),
             (AD, AD.symbol, ends, abs(distance.ad_mm), distance.ad_u95_mm),
             (RD, RD.symbol, ends, distance.rd_mm, distance.rd_u95_mm),
         ]
         turns = ((of, worst_angle(self.orientation, of)) for of in (AP_ANGLES, RP_ANGLES))
-        found += [(of, *angle) for of, angle in turns if angle is not None]
-        return [Worst(*each, self.limits.get(each[0].limit)) for each in found]
+        characteristics += [(of, *angle) for of, angle in turns if angle is not None]
+        return [Worst(*each, self.limits.get(each[0].limit)) for each in characteristics]
 
     def keeps(self, pose: str) -> bool:
         """Whether AP and RP of a pose keep the limits that are stated; unknown ones do not."""
         at, angles = self.poses[pose], self.orientation.get(pose)
-        found = {AP: [(at.ap_mm, at.ap_u95_mm)], RP: [(at.rp_mm, at.rp_u95_mm)]}
+        figures = {AP: [(at.ap_mm, at.ap_u95_mm)], RP: [(at.rp_mm, at.rp_u95_mm)]}
         for of in (AP_ANGLES, RP_ANGLES):
             values, u95_deg = ({}, {}) if angles is None else angles.of(of)
-            found[of] = [(abs(value), u95_deg[angle]) for angle, value in values.items()]
+            figures[of] = [(abs(value), u95_deg[angle]) for angle, value in values.items()]
         return all(
             bool(each) and all(value + U <= self.limits[of.limit] for value, U in each)
-            for of, each in found.items()
+            for of, each in figures.items()
             if of.limit in self.limits
         )
 
@@ -203,21 +203,21 @@ class PoseTest(msgspec.Struct, frozen=True, kw_only=True):
                 (f"{of.key}_u95_{of.unit}", at.U),
             )
         }
-        found = PoseTested(holds=True, **facts, **self.limits)
-        holds = all(each.outcome is Outcome.ACCEPTED for each in found.figures)
-        return replace(found, holds=holds)
+        verdict = PoseTested(holds=True, **facts, **self.limits)
+        holds = all(each.outcome is Outcome.ACCEPTED for each in verdict.figures)
+        return replace(verdict, holds=holds)
 
 
 def worst_angle(
     orientation: Mapping[str, Angles], of: Characteristic
 ) -> tuple[str, str, float, float] | None:
     """Return symbol, pose, value and U (deg) where both together are most, if it was measured."""
-    found = [
+    angles = [
         (f"{of.key.upper()}_{angle}", pose, abs(value), u95_deg[angle])
         for pose, (values, u95_deg) in ((pose, each.of(of)) for pose, each in orientation.items())
         for angle, value in values.items()
     ]
-    return max(found, key=lambda each: np.nan_to_num(each[2] + each[3], nan=np.inf), default=None)
+    return max(angles, key=lambda each: np.nan_to_num(each[2] + each[3], nan=np.inf), default=None)
 
 
 # -- the poses (6.8) -------------------------------------------------------------------------------
@@ -341,14 +341,14 @@ def _by_angle(values_rad: Array, *, expanded: bool = False) -> dict[str, float]:
 def attained(log: Log) -> dict[str, Errors]:
     """Return what was attained at each pose, in {B} and in order of the cycles, so far."""
     T_B_W = inverse(log.matrix("base"))
-    found = {
+    errors = {
         name: position_errors(log, points)
         for name, points in _Evaluation(log).visits().items()
         if points
     }
     return {
         name: Errors(apply(T_B_W, each.nominal_mm), each.error_mm @ T_B_W[:3, :3].T)
-        for name, each in found.items()
+        for name, each in errors.items()
     }
 
 
@@ -394,7 +394,7 @@ class _Evaluation:
         known = isinstance(model, Kinematic) and len(model.state.smr_mm) == len(seats)
         if isinstance(model, Kinematic) and known:
             seats = model.state.smr_mm
-        found, R = {}, self.log.matrix("base")[:3, :3]
+        angles, R = {}, self.log.matrix("base")[:3, :3]
         for name, points in self.visits().items():
             turned = last_orientation_errors(self.log, points, seats)
             if len(turned) > 1:
@@ -403,10 +403,10 @@ class _Evaluation:
                     if known
                     else None
                 )
-                found[name] = angle_characteristics(
+                angles[name] = angle_characteristics(
                     turned.error_rad @ R, None if rad2 is None else R.T @ rad2 @ R
                 )
-        return found
+        return angles
 
 
 def evaluated(log: Log) -> PoseTest:

@@ -91,12 +91,12 @@ class CalibrationFile:
         folder = self.folder
         if folder is None:
             return None
-        found = calibration_status(folder) or _unproven(row_of(folder))
+        status = calibration_status(folder) or _unproven(row_of(folder))
         here = (self.runs / folder.name).resolve()
         if here == folder or not is_run(here) or row_of(here).origin != row_of(folder).origin:
-            return found
+            return status
         there = calibration_status(here) or _unproven(row_of(here))
-        return found if there.usable else there
+        return status if there.usable else there
 
     @cached_property
     def cell(self) -> Cell | None:
@@ -239,8 +239,8 @@ def _current(runs: Path, cell: Cell, table: str, machine: int | None) -> Path:
             unproven = unproven or path
         else:
             gone = gone or f" (that of run {row.name} is {status.text})"
-    if found := unproven or (None if gone else foreign):  # which is refused with its reason
-        return found
+    if fallback := unproven or (None if gone else foreign):  # which is refused with its reason
+        return fallback
     raise NoCalibration(
         f"no finished run in {runs} has calibrated cell {cell.name}{gone}; `hilcell run calibrate` "
         f"first, or name a run or its calibration.json with --set {table}.calibration=RUN"
@@ -276,18 +276,18 @@ def calibration_statuses(runs: Path, rows: Sequence[RunRow]) -> dict[str, Calibr
     So is a calibration with which its run did not end.
     """
     readable = {row.name for row in rows if row.readable}
-    found = statuses(rows)
-    for name in [name for name, each in found.items() if each.state == "current"]:
+    by_run = statuses(rows)
+    for name in [name for name, each in by_run.items() if each.state == "current"]:
         for later in _later_unread(runs / name, readable):
             why = (
                 f"run {later} wrote a later calibration of the cell, its journal is damaged or gone"
             )
-            found[name] = CalibrationStatus("in doubt", "", why)
+            by_run[name] = CalibrationStatus("in doubt", "", why)
             break
     for row in rows:
-        if row.name not in found and os.path.isfile(f"{runs}/{row.name}/{CALIBRATION}"):  # noqa: PTH113 - of ten thousand runs a Path each is too slow
-            found[row.name] = _unproven(row)
-    return found
+        if row.name not in by_run and os.path.isfile(f"{runs}/{row.name}/{CALIBRATION}"):  # noqa: PTH113 - of ten thousand runs a Path each is too slow
+            by_run[row.name] = _unproven(row)
+    return by_run
 
 
 def _later_unread(folder: Path, readable: Collection[str]) -> Iterator[str]:

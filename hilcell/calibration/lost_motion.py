@@ -39,14 +39,14 @@ COVERAGE = 2.0  # k
 
 def lost_motion(log: Log) -> LostMotion:
     """Return what the axes lose, as measured; else nothing, within the data sheet's limit."""
-    found = log.once_measured(reversal)
+    verdict = log.once_measured(reversal)
     wrist = [WRIST_RAD] * (AXES - LARGE)
-    if found is None:
+    if verdict is None:
         limit_rad = log.cell.uncertainty.lost_motion_urad / URAD
         u_rad = [math.sqrt(rectangular_variance(limit_rad))] * LARGE
         return LostMotion([0.0] * AXES, [*u_rad, *wrist], measured=False)
-    lost_rad = [each / URAD for each in found.lost_urad]
-    u_rad = [each / URAD / COVERAGE for each in found.U_urad]
+    lost_rad = [each / URAD for each in verdict.lost_urad]
+    u_rad = [each / URAD / COVERAGE for each in verdict.U_urad]
     return LostMotion([*lost_rad, *[0.0] * (AXES - LARGE)], [*u_rad, *wrist], measured=True)
 
 
@@ -78,7 +78,7 @@ def judged(
     off_mm: list[float], lost_urad: list[float], U_urad: list[float], limit_urad: float
 ) -> LostMotionJudged:
     """Return the verdict on distances (N) between both sides and on what axes 1 to 3 lose."""
-    found = LostMotionJudged(
+    verdict = LostMotionJudged(
         holds=False,
         mean_mm=float(np.mean(off_mm)),
         max_mm=max(off_mm),
@@ -87,16 +87,18 @@ def judged(
         U_urad=U_urad,
         limit_urad=limit_urad,
     )
-    return msgspec.structs.replace(found, holds=all(each <= 0.0 for each in found.excess_urad))
+    return msgspec.structs.replace(verdict, holds=all(each <= 0.0 for each in verdict.excess_urad))
 
 
 def lost_too_much(log: Log) -> Suspicion | None:
-    found = log.once_measured(reversal)
-    if found is None or found.holds:
+    verdict = log.once_measured(reversal)
+    if verdict is None or verdict.holds:
         return None
-    axis = int(np.argmax(found.excess_urad))
+    axis = int(np.argmax(verdict.excess_urad))
     noticed_by = "vertices approached from above"
-    return Suspicion(Cause.REVERSAL, found.lost_urad[axis], f"urad of axis {axis + 1}", noticed_by)
+    return Suspicion(
+        Cause.REVERSAL, verdict.lost_urad[axis], f"urad of axis {axis + 1}", noticed_by
+    )
 
 
 # -- the cost of a straight path to a hole ---------------------------------------------------------

@@ -79,8 +79,8 @@ class OrientationErrors:
 
     @property
     def figures(self) -> OrientationFigures:
-        found = figures_of(self.angles_deg)
-        return OrientationFigures(mean_deg=found.mean, p95_deg=found.p95, max_deg=found.max)
+        figures = figures_of(self.angles_deg)
+        return OrientationFigures(mean_deg=figures.mean, p95_deg=figures.p95, max_deg=figures.max)
 
 
 def seats_of(log: Log) -> Array | None:
@@ -157,13 +157,13 @@ def validated_orientation_errors(
     seats = seats_of(log)
     if seats is None:
         return {}
-    found = {}
+    errors = {}
     for how in Sent:
         points = [p for name in stations for p in log.select("validate", name, how=how)]
         turned = largest_orientation_errors(log, points, seats)
         if len(turned):
-            found[how] = turned
-    return found
+            errors[how] = turned
+    return errors
 
 
 def largest_orientation_error(log: Log, turned: OrientationErrors | None) -> OrientationError:
@@ -255,18 +255,18 @@ def orientation_coverages(
         return {}
     names = {name for stations in places.values() for name in stations}
     single = {name: _validated(calibration, log, name, seats) for name in names}
-    found = {}
+    coverages = {}
     for place, stations in places.items():
         angles_deg, bounds_deg = (
             np.concatenate([single[name][n] for name in stations]) for n in (0, 1)
         )
         if len(angles_deg):
-            found[place] = OrientationBounds(
+            coverages[place] = OrientationBounds(
                 coverage=float(np.mean(angles_deg <= bounds_deg)),
                 mean_deg=float(bounds_deg.mean()),
                 max_deg=float(bounds_deg.max()),
             )
-    return found
+    return coverages
 
 
 def _validated(

@@ -160,21 +160,21 @@ def scatter_besides(clouds_mm: Sequence[Array], noise_mm2: Array) -> Array:
     smallest_mm2 = 1e-12  # far below any reading's variance: so that an inverse exists
     noise_mm2 = noise_mm2 + smallest_mm2 * np.eye(3)
     steps, settled = 200, 1e-15  # at most; a share of the estimate
-    found: Array = squares_mm2.sum(axis=0) / freedom.sum()
+    covariance_mm2: Array = squares_mm2.sum(axis=0) / freedom.sum()
     for _ in range(steps):
-        seen_mm2 = found + noise_mm2
-        K = found @ np.linalg.inv(seen_mm2)
+        seen_mm2 = covariance_mm2 + noise_mm2
+        K = covariance_mm2 @ np.linalg.inv(seen_mm2)
         beyond_mm2 = squares_mm2 - freedom[:, None, None] * seen_mm2
         step = (K @ beyond_mm2 @ np.swapaxes(K, 1, 2)).sum(axis=0) / freedom.sum()
-        found = found + step
-        if np.abs(step).max() <= settled * np.trace(found):
+        covariance_mm2 = covariance_mm2 + step
+        if np.abs(step).max() <= settled * np.trace(covariance_mm2):
             break
-    return found
+    return covariance_mm2
 
 
 def block_diagonal(blocks: Array) -> Array:
     """Return the covariance (3N, 3N) of N independent differences, of their own (N, 3, 3)."""
     count = len(blocks)
-    found = np.zeros((count, 3, count, 3))
-    found[np.arange(count), :, np.arange(count), :] = blocks
-    return found.reshape(3 * count, 3 * count)
+    matrix = np.zeros((count, 3, count, 3))
+    matrix[np.arange(count), :, np.arange(count), :] = blocks
+    return matrix.reshape(3 * count, 3 * count)

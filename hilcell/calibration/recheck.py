@@ -146,17 +146,17 @@ class Judgement:
         return matrix(from_rotvec(self.motion[3:]), self.motion[:3])
 
 
-def judged(found: Rechecked) -> Judgement:
+def judged(measured: Rechecked) -> Judgement:
     """Judge the errors; raises `HilcellError` for too few, and for one that is no number."""
     bumped_mm, bumped_rad = 1.0, 1e-3  # 1 sigma of a base that was moved, before any pose says so
-    count = len(found.errors_mm)
+    count = len(measured.errors_mm)
     if not count >= FEWEST:
         problem = f"re-check: {counted(count, 'pose')}, expected at least {FEWEST}"
         raise HilcellError(problem, code="HC-C21")
-    if not np.isfinite(found.errors_mm).all():
+    if not np.isfinite(measured.errors_mm).all():
         raise HilcellError("re-check: an error is not finite; measure again", code="HC-C21")
-    J = motion_columns(found.targets_mm)
-    C, e = found.covariance_mm2, found.errors_mm.reshape(-1)
+    J = motion_columns(measured.targets_mm)
+    C, e = measured.covariance_mm2, measured.errors_mm.reshape(-1)
     weighted = np.linalg.solve(C, np.column_stack([J, e]))
     information, pull = J.T @ weighted[:, :MOTION], J.T @ weighted[:, MOTION]
     explained = float(pull @ np.linalg.solve(information, pull))
@@ -164,11 +164,11 @@ def judged(found: Rechecked) -> Judgement:
     prior = np.diag([bumped_mm**-2] * 3 + [bumped_rad**-2] * 3)
     covariance = np.asarray(np.linalg.inv(information + prior), dtype=float)
     motion = covariance @ pull
-    left_mm = found.errors_mm - (J @ motion).reshape(-1, 3)
-    at_middle = np.hstack([np.eye(3), -cross_matrix(found.targets_mm.mean(axis=0))])
-    drift_mm, drift_u_mm = found.drift()
+    left_mm = measured.errors_mm - (J @ motion).reshape(-1, 3)
+    at_middle = np.hstack([np.eye(3), -cross_matrix(measured.targets_mm.mean(axis=0))])
+    drift_mm, drift_u_mm = measured.drift()
     slipped, slip_mm = left_by(
-        found.errors_mm, inverse_covariance(C), found.orientations.reshape(-1, SLIP)
+        measured.errors_mm, inverse_covariance(C), measured.orientations.reshape(-1, SLIP)
     )
     return Judgement(
         _test(explained, MOTION),
@@ -184,12 +184,12 @@ def judged(found: Rechecked) -> Judgement:
         drift_mm,
         drift_u_mm,
         left_mm,
-        np.sqrt(np.einsum("ni,nij,nj->n", left_mm, np.linalg.inv(found.own_mm2), left_mm) / 3),
+        np.sqrt(np.einsum("ni,nij,nj->n", left_mm, np.linalg.inv(measured.own_mm2), left_mm) / 3),
     )
 
 
 def suspicions(
-    found: Rechecked, judgement: Judgement, arm: Arm, joints_rad: Array
+    measured: Rechecked, judgement: Judgement, arm: Arm, joints_rad: Array
 ) -> list[Suspicion]:
     """Return the causes that explain the errors at joints (N, 6), the likeliest first.
 
@@ -202,10 +202,13 @@ def suspicions(
     if judgement.rest.holds:
         return []
     likely: list[tuple[float, Suspicion]] = []
-    moved, weights = motion_columns(found.targets_mm), inverse_covariance(found.covariance_mm2)
+    moved, weights = (
+        motion_columns(measured.targets_mm),
+        inverse_covariance(measured.covariance_mm2),
+    )
     causes = [*patterns(arm, joints_rad), *axis_6_pattern(arm, joints_rad)]
     for cause, columns, factor, unit in causes:
-        chi2, size = left_by(found.errors_mm, weights, columns, besides=moved)
+        chi2, size = left_by(measured.errors_mm, weights, columns, besides=moved)
         freedom = judgement.rest.freedom - columns.shape[1]
         if _test(chi2, freedom).holds:
             likely.append((chi2 / freedom, Suspicion(cause, factor * size, unit, noticed_by)))
@@ -238,15 +241,15 @@ def rechecked(log: Log) -> Rechecked:
 
 def as_predicted(log: Log, points: list[Point], station: str) -> Rechecked:
     """Return errors of points at a station, with the covariance that the calibration predicts."""
-    calibration, found = used(log), visited(log, points, station)
-    poses = driven_poses(calibration, log, points, found.nominal_mm)
+    calibration, visits = used(log), visited(log, points, station)
+    poses = driven_poses(calibration, log, points, visits.nominal_mm)
     model = calibration.error_model().predict(poses)
-    J = motion_levers(found.nominal_mm).reshape(-1, 7)
+    J = motion_levers(visits.nominal_mm).reshape(-1, 7)
     return Rechecked(
-        found.nominal_mm,
-        found.actual_mm - found.nominal_mm,
-        no_less_than_nought(model.covariance_mm2 - found.within_mm2) + found.own_mm2,
-        J @ found.common @ J.T,
+        visits.nominal_mm,
+        visits.actual_mm - visits.nominal_mm,
+        no_less_than_nought(model.covariance_mm2 - visits.within_mm2) + visits.own_mm2,
+        J @ visits.common @ J.T,
         poses[:, :3, :3],
     )
 
@@ -370,18 +373,22 @@ class RecheckResult(msgspec.Struct, frozen=True, kw_only=True):
 
 def recheck_result(log: Log) -> RecheckResult:
     """Return the result of a run that has measured its poses; raises `HilcellError`."""
-    found, judgement = rechecked(log), rechecked_run(log)
-    calibration, as_found = used(log), judged_errors(log, found.errors_mm)
+    measured, judgement = rechecked(log), rechecked_run(log)
+    calibration, as_found = used(log), judged_errors(log, measured.errors_mm)
     verdict = judgement.verdict
-    left_mm = judgement.left_mm if verdict == "update" else found.errors_mm
+    left_mm = judgement.left_mm if verdict == "update" else measured.errors_mm
     if not judged_errors(log, left_mm).holds:
         verdict = "redo"  # no update brings the errors into tolerance
-    air_c, points, bounds_mm = log.temperatures_c(), log.select(KIND), bounds95_mm(found.each_mm2)
+    air_c, points, bounds_mm = (
+        log.temperatures_c(),
+        log.select(KIND),
+        bounds95_mm(measured.each_mm2),
+    )
     result = RecheckResult(
         verdict=verdict,
         calibration=calibration.provenance.latest,
         station=log.cell.grid.station,
-        points=len(found.errors_mm),
+        points=len(measured.errors_mm),
         drift_mm=judgement.drift_mm,
         drift_u_mm=judgement.drift_u_mm,
         shift_mm=judgement.shift_mm,
@@ -403,14 +410,14 @@ def recheck_result(log: Log) -> RecheckResult:
         poses=[
             CheckedPose(
                 point.key,
-                found.targets_mm[n].tolist(),
-                float(np.linalg.norm(found.errors_mm[n])),
+                measured.targets_mm[n].tolist(),
+                float(np.linalg.norm(measured.errors_mm[n])),
                 float(bounds_mm[n]),
                 float(np.linalg.norm(judgement.left_mm[n])),
                 float(judgement.sigmas[n]),
             )
             for n, point in enumerate(points)
         ],
-        suspicions=suspicions(found, judgement, log.cell.robot.arm(), commanded_rad(points)),
+        suspicions=suspicions(measured, judgement, log.cell.robot.arm(), commanded_rad(points)),
     )
     return msgspec.structs.replace(result, text=result.verdict_text(judgement.worst))

@@ -33,9 +33,9 @@ KIND = "targets"
 
 def listed(log: Log) -> tuple[list[str], Array] | None:
     """Return names and values (N, 6) in {W} of the targets, once the journal has them."""
-    for found in log.happened(TargetsListed):
-        values: Array = np.array(found.values, dtype=float)
-        return found.names, values
+    for targets in log.happened(TargetsListed):
+        values: Array = np.array(targets.values, dtype=float)
+        return targets.names, values
     return None
 
 
@@ -161,33 +161,33 @@ def moved_together(log: Log) -> Judgement | None:
     points = target_points(log)
     if len(points) < FEWEST:
         return None
-    found = as_predicted(log, points, points[0].station)
+    errors = as_predicted(log, points, points[0].station)
     apart = 10  # targets that count as independent, as in a re-check
-    own_mm2 = found.own_mm2 * max(1.0, len(points) / apart)
-    judgement = judged(replace(found, own_mm2=own_mm2))
+    own_mm2 = errors.own_mm2 * max(1.0, len(points) / apart)
+    judgement = judged(replace(errors, own_mm2=own_mm2))
     return None if judgement.moved.holds else judgement
 
 
 def _errors_mm(log: Log) -> Array:
     points = target_points(log)
-    found = visited(log, points, points[0].station)
-    return found.actual_mm - found.nominal_mm
+    visits = visited(log, points, points[0].station)
+    return visits.actual_mm - visits.nominal_mm
 
 
 def _pass(log: Log, run: str = "") -> tuple[TargetPass, Array]:
     """Return the pass, and its commanded poses (N, 4, 4) in {B}."""
     calibration, points = used(log), target_points(log)
-    found = visited(log, points, points[0].station)
+    visits = visited(log, points, points[0].station)
     poses = forward(log.cell.robot.arm(), commanded_rad(points))
     model_mm = _predicted(calibration, poses).error_mm
-    residuals_mm = found.actual_mm - poses[:, :3, 3] - model_mm
+    residuals_mm = visits.actual_mm - poses[:, :3, 3] - model_mm
     this = TargetPass(
         run,
         [point.id.target for point in points],
         [tuple(row) for row in zyx_from_pose(poses).tolist()],
         [tuple(row) for row in residuals_mm.tolist()],
-        found.own_mm2.tolist(),
-        found.common.tolist(),
+        visits.own_mm2.tolist(),
+        visits.common.tolist(),
     )
     return this, poses
 

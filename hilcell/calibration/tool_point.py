@@ -96,14 +96,14 @@ AT_REFLECTOR = Tip(REFLECTOR, np.eye(4), np.eye(4))  # of a cell that is not kno
 def tool_tips(cell: Cell, number: int | None = None) -> list[Tip]:
     """Return reflector and tools; raises `SettingsError` for a tool with the reflector's number."""
     T_F_T = cell.robot.arm().tool
-    found = [Tip(REFLECTOR, np.eye(4), T_F_T, number)]
+    tips = [Tip(REFLECTOR, np.eye(4), T_F_T, number)]
     for table in cell.tool:
         if number is not None and table.number == number:
             problem = f"number: {number} is the reflector's in the controller: expected another one"
             raise SettingsError(f"tool {table.name}", [problem])
         T_F_D = table.matrix()
-        found.append(Tip(table.name, inverse(T_F_T) @ T_F_D, T_F_D, table.number, table))
-    return found
+        tips.append(Tip(table.name, inverse(T_F_T) @ T_F_D, T_F_D, table.number, table))
+    return tips
 
 
 def tip_named(cell: Cell | None, name: str, number: int | None = None) -> Tip:

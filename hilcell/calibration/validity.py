@@ -61,13 +61,13 @@ def check_usable(
         "--accept-not-current": [] if accept_not_current else [*_not_current(status)],
         "--accept-out-of-tolerance": [] if accept_out_of_tolerance else intolerant,
     }
-    found = [each for each in (use.unproven, use.age, use.other_cell, use.temperature) if each]
-    flags = [flag for flag, against in acceptable.items() if against and not found]
-    found += itertools.chain.from_iterable(acceptable.values())
+    reasons = [each for each in (use.unproven, use.age, use.other_cell, use.temperature) if each]
+    flags = [flag for flag, against in acceptable.items() if against and not reasons]
+    reasons += itertools.chain.from_iterable(acceptable.values())
     if flags:
-        found.append(f"to use it all the same, add {' '.join(flags)}; the output says so")
-    if found:
-        raise CalibrationRefused(calibration, found)
+        reasons.append(f"to use it all the same, add {' '.join(flags)}; the output says so")
+    if reasons:
+        raise CalibrationRefused(calibration, reasons)
     return intolerant
 
 
@@ -155,7 +155,7 @@ class _Use:
     @property
     def other_cell(self) -> str:
         """In its tolerance alone is no other cell, and judged apart."""
-        cell, found = self.cell, self.calibration.provenance.digest
+        cell, digest = self.cell, self.calibration.provenance.digest
         if cell is None:
             return ""
         limits = {each.limits for each in self.calibration.verdicts.values()}
@@ -170,14 +170,14 @@ class _Use:
             if each.max_deg is None or cell.orients
         )
         cells = (cell, *(msgspec.structs.replace(cell, validation=each) for each in tables))
-        if found in {each.digest for each in cells}:
+        if digest in {each.digest for each in cells}:
             return ""
         name = self.calibration.provenance.cell
         if name != cell.name:
             return f"it is of cell {name}, not {cell.name}"
         changed = differences(self.calibrated, cell) if self.calibrated is not None else ""
         return (
-            f"it is of cell {name} with digest {found[:12]}, the cell given has "
+            f"it is of cell {name} with digest {digest[:12]}, the cell given has "
             f"{cell.digest[:12]}: another cell, one whose file was changed since, or other "
             "--set than its run's"
             + (f"; its run's and the one given: {changed}" if changed else "")

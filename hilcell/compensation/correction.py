@@ -48,14 +48,14 @@ def corrected_poses(
     command, first_mm = targets, np.full(len(targets), np.inf)
     for step in range(steps):
         at[:, :3, 3] = grid.clamped(command)
-        found = model.predict(at)
-        further = targets - found.error_mm
+        predicted = model.predict(at)
+        further = targets - predicted.error_mm
         moved_mm = lengths_mm(further - command)
         first_mm = moved_mm if step == 0 else first_mm
         _check_contraction(moved_mm, first_mm, step, names)
         command = further
-        if orientation and found.orientation is not None:
-            at[:, :3, :3] = from_rotvec(-found.orientation.error_rad) @ R
+        if orientation and predicted.orientation is not None:
+            at[:, :3, :3] = from_rotvec(-predicted.orientation.error_rad) @ R
     return matrix(at[:, :3, :3], command)
 
 

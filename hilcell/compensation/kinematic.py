@@ -206,8 +206,8 @@ class Kinematic(LearntModel):
             self.state.smr_mm[1:].tolist(),
             self.noise.pose_mm,
         )  # fmt: skip
-        found: Json = msgspec.to_builtins(entry)
-        return found
+        content: Json = msgspec.to_builtins(entry)
+        return content
 
     @classmethod
     def restore(cls, grid: Grid, errors_mm: Array, parameters: Json) -> Self:

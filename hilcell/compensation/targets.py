@@ -324,7 +324,7 @@ def _shown(text: str) -> str:
 
 def numbers(columns: Sequence[str], cells: Sequence[str], decimal: str = POINT) -> list[float]:
     """Return plain finite numbers of sane size; raises ValueError naming the column."""
-    found = []
+    values = []
     for column, cell in zip(columns, cells, strict=True):
         shown = _shown(cell)
         try:
@@ -340,8 +340,8 @@ def numbers(columns: Sequence[str], cells: Sequence[str], decimal: str = POINT) 
         most = MOST_DEG if column.endswith("_deg") else MOST
         if not abs(value) <= most:
             raise ValueError(f"{column} is {shown}, expected within +-{most:g}")
-        found.append(value)
-    return found
+        values.append(value)
+    return values
 
 
 def target_rows(names: Iterable[str], values: Array) -> Iterator[list[str]]:

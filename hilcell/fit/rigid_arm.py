@@ -67,11 +67,11 @@ def rigid_arm(fit: RobotFit) -> RigidArm:
     """Return the arm that a fit identified by link parameters alone; raises `FitError`."""
     nominal = fit.robot.arm
     units = {"mm": ("mm", 1.0), "rad": ("deg", float(np.degrees(1.0)))}
-    found = fit.methods.get(RIGID)
-    if not isinstance(found, FittedArm):
+    fitted = fit.methods.get(RIGID)
+    if not isinstance(fitted, FittedArm):
         raise FitError(f"no arm is identified: {fit.result['refused'][RIGID]}")
-    kinematics, system = found.estimate.kinematics, found.estimate.system
-    arm, links = kinematics.arm_of(found.estimate.state), slice(kinematics.placed, None)
+    kinematics, system = fitted.estimate.kinematics, fitted.estimate.system
+    arm, links = kinematics.arm_of(fitted.estimate.state), slice(kinematics.placed, None)
     labels = [name.split() for name in kinematics.names[links][:LINKS]]
     scale = np.array([units[unit][1] for _, unit in labels])
     rows = [getattr(each, kind) for each in (nominal, arm) for kind in KINDS]
@@ -84,15 +84,15 @@ def rigid_arm(fit: RobotFit) -> RigidArm:
         for (name, unit), *values in zip(labels, before, after, u, prior_u, strict=True)
     ]
     figures = fit.validated[RIGID]
-    return RigidArm(arm, found.base, found.smr_mm, parameters, covariance, figures)
+    return RigidArm(arm, fitted.base, fitted.smr_mm, parameters, covariance, figures)
 
 
-def write_dh(path: Path, robot: Robot, found: RigidArm, *, inputs: Iterable[Path]) -> None:
+def write_dh(path: Path, robot: Robot, fitted: RigidArm, *, inputs: Iterable[Path]) -> None:
     """Write the DH table as CSV, or as JSON with the covariance; raises `NotWritten`."""
     if path.suffix.lower() != ".json":
         header = ["parameter", "unit", "nominal", "identified", "u", "prior_u", "determined"]
         rows = []
-        for each in found.parameters:
+        for each in fitted.parameters:
             values = (each.nominal, each.identified, each.u, each.prior_u)
             numbers = (f"{round(value, 6) + 0.0:.6f}" for value in values)
             rows.append([each.name, each.unit, *numbers, "yes" if each.determined else "no"])
@@ -102,31 +102,33 @@ def write_dh(path: Path, robot: Robot, found: RigidArm, *, inputs: Iterable[Path
     table = {
         "robot": robot.name,
         "convention": convention,
-        "sign": found.arm.sign.tolist(),
+        "sign": fitted.arm.sign.tolist(),
         "base": robot.base.tolist(),
         "tool": robot.tool.tolist(),
-        "parameters": [asdict(each) | {"determined": each.determined} for each in found.parameters],
-        "covariance": found.covariance.tolist(),
-        "T_L_B": found.T_L_B.tolist(),
-        "reflectors_mm": {name: point.tolist() for name, point in found.smr_mm.items()},
+        "parameters": [
+            asdict(each) | {"determined": each.determined} for each in fitted.parameters
+        ],
+        "covariance": fitted.covariance.tolist(),
+        "T_L_B": fitted.T_L_B.tolist(),
+        "reflectors_mm": {name: point.tolist() for name, point in fitted.smr_mm.items()},
     }
     write_whole(path, msgspec.json.format(msgspec.json.encode(table), indent=1), inputs=inputs)
 
 
 def write_urdf(
-    path: Path, robot: Robot, found: RigidArm, remarks: Sequence[str], *, inputs: Iterable[Path]
+    path: Path, robot: Robot, fitted: RigidArm, remarks: Sequence[str], *, inputs: Iterable[Path]
 ) -> None:
     """Write the nominal file with the identified origins, or a new one; raises `NotWritten`."""
-    chain = Chain.of(robot.base, replace(found.arm, tool=robot.tool))
+    chain = Chain.of(robot.base, replace(fitted.arm, tool=robot.tool))
     left = np.eye(4)
     if isinstance(robot, Urdf):
         chain = chain.beside(robot.chain)
         left = robot.left_at_tip(chain)
     in_tip_mm = {
         label: apply(left @ inverse(robot.tool), point[None])[0]
-        for label, point in found.smr_mm.items()
+        for label, point in fitted.smr_mm.items()
     }
-    root = found.T_L_B @ inverse(robot.base)
+    root = fitted.T_L_B @ inverse(robot.base)
     rpy_rad = np.radians(zyx_from_pose(root)[:2:-1])
     placed = f"{_numbers(root[:3, 3])}; {_numbers(rpy_rad * 1000.0)}"
     comment = [

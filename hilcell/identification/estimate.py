@@ -51,11 +51,11 @@ def predict(
     size = len(covariance)
     for first in range(0, count, AT_ONCE):
         part = slice(first, first + AT_ONCE)
-        found = kinematics.linearised(state, joints_rad[part])
-        J = found.by_parameter
+        linearised = kinematics.linearised(state, joints_rad[part])
+        J = linearised.by_parameter
         carried = (J.reshape(-1, size) @ covariance).reshape(J.shape)
-        positions[part] = found.positions_mm
-        covariances[part] = carried @ np.swapaxes(J, -1, -2) + noise.scatter(found.by_joint)
+        positions[part] = linearised.positions_mm
+        covariances[part] = carried @ np.swapaxes(J, -1, -2) + noise.scatter(linearised.by_joint)
     return positions, covariances
 
 
@@ -117,13 +117,13 @@ def identify(
     state, outliers = _robust(kinematics, readings, start)
     for _ in range(4):  # rounds of noise and outliers
         _refuse_too_many(outliers, readings)
-        found = identify_trusted(kinematics, readings.without(outliers), state, noise)
-        more = _gross(found.system)
+        estimate = identify_trusted(kinematics, readings.without(outliers), state, noise)
+        more = _gross(estimate.system)
         if not more.any():
             break
-        state, outliers = found.state, outliers | more
+        state, outliers = estimate.state, outliers | more
     _refuse_too_many(outliers, readings)
-    return replace(found, outliers=outliers)
+    return replace(estimate, outliers=outliers)
 
 
 def identify_trusted(
@@ -134,11 +134,11 @@ def identify_trusted(
     noise = noise or Noise.of_poses(kinematics.reflectors)
     state, _ = solve(kinematics, readings, start, noise)
     # the noise of greatest marginal likelihood, linearised at this state
-    found = kinematics.linearised(state, readings.joints_rad)
+    linearised = kinematics.linearised(state, readings.joints_rad)
     for _ in range(40):
-        system = System.of(kinematics, state, readings, noise, found)
+        system = System.of(kinematics, state, readings, noise, linearised)
         before = noise
-        noise = noise.improved(system.weighted, system.precision, found.by_joint, system.known)
+        noise = noise.improved(system.weighted, system.precision, linearised.by_joint, system.known)
         if noise.changed(before) <= 0.01:
             break
     state, system = solve(kinematics, readings, state, noise)
@@ -181,17 +181,17 @@ def _robust(kinematics: Kinematics, readings: Readings, state: State) -> tuple[S
     scale_mm, least_scale_mm = 0.5, 0.005
     known = readings.known
     lengths_mm = np.zeros(known.shape)
-    found = kinematics.linearised(state, readings.joints_rad)
+    linearised = kinematics.linearised(state, readings.joints_rad)
     cauchy = 2.5  # scales from which on a reading's pull fades
     median_length = 1.5382  # of a 3-D normal vector of unit variance
     for _ in range(12):
         excess = scale_mm**2 * (lengths_mm / (cauchy * scale_mm)) ** 2
         covariance_mm2 = readings.covariance_mm2 + excess[..., None, None] * np.eye(3)
         weighted = replace(readings, covariance_mm2=covariance_mm2)
-        system = System.of(kinematics, state, weighted, Noise.independent(scale_mm), found)
+        system = System.of(kinematics, state, weighted, Noise.independent(scale_mm), linearised)
         state = kinematics.moved(state, system.step)
-        found = kinematics.linearised(state, readings.joints_rad)
-        missed = readings.xyz_mm - found.positions_mm
+        linearised = kinematics.linearised(state, readings.joints_rad)
+        missed = readings.xyz_mm - linearised.positions_mm
         lengths_mm = np.linalg.norm(np.where(known[..., None], missed, 0.0), axis=-1)
         spent = float(np.sum(1.0 - np.einsum("mii->mi", system.precision * system.noise_mm2)))
         rows = 3 * np.count_nonzero(known)
@@ -249,26 +249,26 @@ class System:
 
     @classmethod
     def at(cls, kinematics: Kinematics, state: State, readings: Readings, noise: Noise) -> System:
-        found = kinematics.linearised(state, readings.joints_rad)
-        return cls.of(kinematics, state, readings, noise, found)
+        linearised = kinematics.linearised(state, readings.joints_rad)
+        return cls.of(kinematics, state, readings, noise, linearised)
 
     @classmethod
     def of(
         cls, kinematics: Kinematics, state: State, readings: Readings, noise: Noise,
-        found: Linearised,
+        linearised: Linearised,
     ) -> System:  # fmt: skip
         """Return the system of a linearisation that is known."""
         known, count = readings.known, len(readings)
-        residual = np.where(known[..., None], readings.xyz_mm - found.positions_mm, 0.0)
-        design = found.by_parameter.copy()
+        residual = np.where(known[..., None], readings.xyz_mm - linearised.positions_mm, 0.0)
+        design = linearised.by_parameter.copy()
         design[~known] = 0.0
         return cls(
             design.reshape(count, -1, design.shape[-1]),
             residual.reshape(count, -1),
-            noise.covariance(found.by_joint, readings.covariance_mm2, known),
+            noise.covariance(linearised.by_joint, readings.covariance_mm2, known),
             kinematics.prior_root,
             kinematics.prior_root @ (kinematics.prior[0] - kinematics.flat(state)),
-            found.by_joint,
+            linearised.by_joint,
             known,
         )
 

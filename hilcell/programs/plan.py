@@ -357,14 +357,14 @@ class Volume:
         if not known:
             return f"none of its stations is calibrated; calibrated: {', '.join(self._bases)}"
         limit_deg = self._validity.orientation_tolerance_deg
-        found = list[tuple[float, float, str]]()
+        missing = list[tuple[float, float, str]]()
         for name in known:
             outside_mm, turned_deg = self._beyond(name, poses)
             turned_deg = np.maximum(turned_deg, limit_deg - self.ROUNDING_DEG)
-            found += (
+            missing += (
                 (*each, name) for each in zip(turned_deg.tolist(), outside_mm.tolist(), strict=True)
             )
-        turned, off_mm, at = min(found, key=lambda each: (round(each[0]), each[1], each[0]))
+        turned, off_mm, at = min(missing, key=lambda each: (round(each[0]), each[1], each[0]))
         outside = f"outside the calibrated volume by {off_mm:.1f} mm at {at}"
         if turned <= limit_deg - self.ROUNDING_DEG:
             return outside
