@@ -1,5 +1,7 @@
 """The index says what the journals say, quickly, and is never believed over one of them."""
 
+from __future__ import annotations
+
 import json
 import os
 import shutil
@@ -9,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +24,9 @@ from hilcell.journal import index
 from hilcell.journal.index import NAME, RunRow, matches, read_index
 from hilcell.journal.journal import Journal
 from hilcell.journal.runs import JOURNAL, EngineFile, read_log, read_records, run_folders
+from tests.hilcell.commands.finished_runs import MADE, finished, text_of
 from tests.hilcell.report.journals import AFTER_MM, BEFORE_MM, Writer
+from tests.whole.bench import command
 
 SENT = {"points": 2, "points_sent": {"before": 2, "chosen": 2}}
 PLACES = {
@@ -258,8 +262,8 @@ def empty(file: Path) -> None:
 
 def change(file: Path, *commands: str) -> None:
     base = sqlite3.connect(file, isolation_level=None)
-    for command in commands:
-        base.execute(command)
+    for statement in commands:
+        base.execute(statement)
     base.close()
 
 
@@ -425,3 +429,60 @@ def test_the_command_keeps_its_keys(runs: Path, capsys: pytest.CaptureFixture[st
     assert listed[2] | wanted == listed[2]
     assert listed[3]["state"] == "running, engine gone"
     assert listed[3]["exit"] is None
+
+
+# -- A row of the index that is damaged is read again from its journal, and never believed ---------
+
+
+STEP = 41  # bits from one flip to the next of the part: prime, so all places in a byte come
+
+
+@pytest.fixture
+def revoked(tmp_path: Path) -> Path:
+    """Return the folder of a run that is revoked, and in the index so."""
+    finished(tmp_path, "1-made", MADE)
+    assert command("revoke", "1-made", "--runs", tmp_path, "--reason", "a nest").returncode == 0
+    settled(tmp_path / "1-made")
+    assert text_of(tmp_path / "1-made") == "revoked: a nest"
+    return tmp_path / "1-made"
+
+
+def stored(index: Path) -> tuple[int, int]:
+    """Return where in the index's file its row is, from its name to its seal: bytes."""
+    with closing(sqlite3.connect(index)) as base:
+        ((name, stamp, row, seal),) = base.execute("SELECT * FROM run").fetchall()
+    content = name.encode() + stamp.encode() + row + seal
+    start = index.read_bytes().rindex(content)
+    return start, start + len(content)
+
+
+def flips(folder: Path, step: int) -> list[str | None]:
+    """Return the statuses that were found with one bit of the row flipped."""
+    index = folder.parent / NAME
+    sound = index.read_bytes()
+    first, last = stored(index)
+    found = []
+    for bit in range(8 * first, 8 * last, step):
+        damaged = bytearray(sound)
+        damaged[bit // 8] ^= 1 << bit % 8
+        index.write_bytes(damaged)
+        found.append(text_of(folder))
+    return found
+
+
+def test_a_flipped_bit_of_a_row_changes_no_standing(revoked: Path) -> None:
+    assert set(flips(revoked, STEP)) == {"revoked: a nest"}
+
+
+@pytest.mark.nightly
+def test_no_flipped_bit_of_a_row_changes_a_standing(revoked: Path) -> None:
+    assert set(flips(revoked, 1)) == {"revoked: a nest"}
+
+
+def test_a_row_that_was_changed_with_care_is_no_row(revoked: Path) -> None:
+    with closing(sqlite3.connect(revoked.parent / NAME)) as base, base:
+        base.execute("UPDATE run SET row = CAST(replace(CAST(row AS TEXT), 'a nest', '') AS BLOB)")
+    assert text_of(revoked) == "revoked: a nest"
+    with closing(sqlite3.connect(revoked.parent / NAME)) as base, base:
+        base.execute("UPDATE run SET seal = NULL")
+    assert text_of(revoked) == "revoked: a nest"

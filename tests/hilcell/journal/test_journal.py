@@ -1,5 +1,7 @@
 """The journal keeps what it acknowledged, in order, and notices every change."""
 
+from __future__ import annotations
+
 import os
 import signal
 import sqlite3
@@ -12,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hilcell.journal.journal import Journal, NotFinite, StorageError, read_journal
+from hilcell.journal.journal import Journal, NotFinite, OpenFile, StorageError, read_journal
 from hilcell.model.records import Kind
 
 
@@ -203,3 +205,38 @@ def test_kill_9_loses_nothing_acknowledged(path: Path) -> None:
     writer.wait()
     acknowledged = int(rest[-1]) if rest and rest[-1].isdigit() else 200
     assert len(read_journal(path)) >= acknowledged
+
+
+# -- A file that others damage between a check and the note of how far it was written --------------
+
+
+def replace(path: Path) -> None:
+    path.rename(path.with_suffix(".old"))
+    path.write_bytes(b"x" * 100)
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+@pytest.mark.parametrize("harm", [replace, Path.unlink, cut])
+def test_harm_right_before_a_note_is_noticed_by_the_next_check(
+    tmp_path: Path, harm: Callable[[Path], None]
+) -> None:
+    path = tmp_path / "journal"
+    path.write_bytes(b"x")
+    file = OpenFile(path)
+    assert file.lost() == ""
+    harm(path)
+    file.note()
+    assert file.lost()
+
+
+def test_a_file_may_come_and_grow(tmp_path: Path) -> None:
+    file = OpenFile(tmp_path / "journal")
+    for size in (1, 2):
+        file.path.write_bytes(b"x" * size)
+        file.note()
+        assert file.lost() == ""
+    cut(file.path)
+    assert file.lost()

@@ -1,6 +1,9 @@
 """The control channel and the locks, between real processes."""
 
+from __future__ import annotations
+
 import math
+import shutil
 import signal
 import stat
 import subprocess
@@ -21,7 +24,16 @@ from hilcell.journal.runs import EngineFile, live_engine
 from hilcell.model.events import AlarmsAcknowledged
 from hilcell.ports import HilcellError
 from hilcell.run.cell_lock import CellLocked, lock_of_name, locked
-from hilcell.run.control import COMMANDS, TIMELESS, Command, Control, Request, Status, order
+from hilcell.run.control import (
+    COMMANDS,
+    TIMELESS,
+    Command,
+    Control,
+    EngineClient,
+    Request,
+    Status,
+    order,
+)
 from tests.hilcell.run.bed import Screen, until
 from tests.hilcell.run.rig import hang
 
@@ -404,3 +416,19 @@ def test_a_full_disk_is_a_storage_fault_and_leaves_nothing(tmp_path: Path, tempo
     assert threads == "1"
     assert list(folder.iterdir()) == []
     assert list(temporary.iterdir()) == []
+
+
+# -- A run's folder that was copied while its engine lives: the engine is the original's alone -----
+
+
+def test_a_copied_folder_has_no_engine(tmp_path: Path) -> None:
+    """To resume it, or to stop it, would move the original's machine."""
+    run, copy, moved = tmp_path / "run", tmp_path / "copy", tmp_path / "moved"
+    run.mkdir()
+    with closing(Control(run, Recorder())):
+        shutil.copytree(run, copy)
+        assert live_engine(run) is not None
+        assert live_engine(copy) is None
+        assert EngineClient.of_run(copy) is None
+        run.rename(moved)
+        assert live_engine(moved) is not None
