@@ -653,4 +653,5 @@ PAPER = Procedure(
     (*EXPERIMENTS, PaperRows()),
     paper_table,
     of_rail=True,
+    figures="procedures.paper_figures:PaperFigures",
 )

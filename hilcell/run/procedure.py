@@ -88,6 +88,7 @@ class Procedure:
     what they need of it, which may be plain JSON. ``uses`` is the cell's table that names the
     calibration to start from, "" for none; ``may_use`` the one that names an optional calibration.
     ``of_rail``: it measures a rail, or an effect of one. ``by_hand``: manual work, "" for none.
+    ``figures``: ``module:class`` of the figures that only its own report has.
     """
 
     name: str
@@ -99,6 +100,7 @@ class Procedure:
     may_use: str = ""
     of_rail: bool = False
     by_hand: str = ""
+    figures: str = ""
 
     def used_in(self, cell: Cell) -> str:
         """Return the cell's table that names the calibration to start from, "" for none."""

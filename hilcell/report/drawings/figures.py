@@ -1,8 +1,8 @@
 """Figures of measurements drawn by matplotlib, and their SVG that stands inside a page.
 
-They are the paper's, redrawn from one run, and those of the pose test of ISO 9283; a figure without
-data is left out. The SVG is small and the same every time. Two figures on one page share one space
-of ids, so every id gets its figure's name.
+They are of rail, frames and strip, and of the pose test of ISO 9283; a procedure may add its own.
+A figure without data is left out. The SVG is small and the same every time. Figures of one page
+share one space of ids, so every id gets its figure's name.
 """
 
 from __future__ import annotations
@@ -10,22 +10,21 @@ from __future__ import annotations
 import io
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hilcell.calibration.grid import binned, grid_pairs
 from hilcell.calibration.iso9283 import CORNERS, CYCLE, PLANE, Cube, Pose, attained
-from hilcell.calibration.position_errors import Errors, places, validation
 from hilcell.geometry.statistics import from_mean_mm
 from hilcell.journal.log import Log, positions_mm
 from hilcell.model.point import HOLDS, SIDES, Sent
 from hilcell.model.results import FramesRepeated, SurveyedRail, WithU
-from hilcell.model.verdicts import AP, ISO, OTHERS, RP
+from hilcell.model.verdicts import AP, ISO, RP
 from hilcell.ports import Array
 from hilcell.report.facts import Facts
 from hilcell.report.iso9283 import PoseReport, is_pose_test
@@ -51,24 +50,25 @@ class Drawing:
 
 
 Drawn = tuple["Figure", str]  # with the caption that belongs to it
+NamedFigure = tuple[str, str, Callable[[], Drawn | None]]  # name, title, and how it is drawn
 
 
 def drawings(facts: Facts) -> list[Drawing]:
     """Return every figure that the run's data allow, in the order of a reader's questions."""
-    of = Figures(facts)
+    of, own = Figures(facts), list[NamedFigure]()
+    if facts.procedure.figures:
+        own = resolve_name(facts.procedure.figures)(facts).listed()
     figures: list[tuple[str, str, str, Callable[[], Drawn | None]]] = [
-        ("targets", "Error at each target, station of the grid", " (Fig 12)", of.grid_targets),
-        ("transferred", "Error at each target, other stations", " (Fig 13)", of.other_targets),
+        *((name, title, "", draw) for name, title, draw in own),
         ("pose-test", "Pose accuracy and repeatability (ISO 9283)", "", of.poses),
         ("attained", "Attained positions of each pose", "", of.attained_positions),
-        ("similarity", "Similarity of errors", " (eq 8)", of.similarity),
         ("rail", "Position error of the rail, both directions", " (Fig 1)", of.rail),
         ("slide", "Roll, pitch and yaw of the slide", "", of.slide),
         ("frames", "Repeatability of base and station frames", " (Fig 8)", of.frames),
         ("strip", "Repeatability of a station", " (Fig 10)", of.strip),
     ]
     results = {"rail_survey", "frame_repeatability", ISO}
-    shown = facts.is_paper or results & facts.result.keys() or facts.log.select("repeat")
+    shown = own or results & facts.result.keys() or facts.log.select("repeat")
     if "world" not in facts.log.frames or not shown:
         return []  # and no library of figures is loaded
     drawn = []
@@ -97,17 +97,14 @@ def in_style() -> Iterator[None]:
         yield
 
 
-# -- errors at the targets ------------------------------------------------------------------------
-
-
-def _scatter(ax: Axes, how: Sent, y: Array, label: str) -> None:
+def scatter(ax: Axes, how: Sent, y: Array, label: str) -> None:
     x = np.arange(1, len(y) + 1)
     face = "none" if how == Sent.BEFORE else COLOURS[how]
     ax.plot(x, y, linestyle="none", marker=MARKERS[how], markersize=3.0, markeredgewidth=0.8,
             markerfacecolor=face, markeredgecolor=COLOURS[how], label=label)  # fmt: skip
 
 
-def _legend_above(ax: Axes) -> None:
+def legend_above(ax: Axes) -> None:
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.2,
               handlelength=1.4, handletextpad=0.5, columnspacing=1.2)  # fmt: skip
 
@@ -211,40 +208,6 @@ class Figures:
 
     facts: Facts
 
-    def grid_targets(self) -> Drawn | None:
-        facts = self.facts
-        log = facts.log
-        series = validation(log, [facts.cell.grid.station])
-        paper = facts.of_paper("The paper: mean 1.2092 mm before, 0.1168 mm after (135).")
-        return self._targets(series, paper)
-
-    def other_targets(self) -> Drawn | None:
-        """Draw the errors at the other stations, target by target, with transferred data."""
-        facts = self.facts
-        stations = places(facts.cell).get(OTHERS) or list(places(facts.cell))[1:]
-        series = validation(facts.log, stations)
-        words = f"Stations {' and '.join(stations)}, corrected by data transferred to them. "
-        paper = facts.of_paper("The paper: mean 1.2511 mm before, 0.1600 mm after (150).")
-        return self._targets(series, words + paper)
-
-    def _targets(self, series: Mapping[Sent, Errors], caption: str) -> Drawn | None:
-        if not series or not self.facts.is_paper:
-            return None
-        figure, axes = axes_grid(2.6)
-        ax: Axes = axes[0, 0]
-        for how, errors in series.items():
-            _scatter(ax, how, errors.norms_mm, self.facts.series_name(how))
-            mean_mm, colour = errors.figures.mean, COLOURS[how]
-            ax.axhline(mean_mm, color=colour, linewidth=0.8, linestyle=(0, (4, 2)))
-            if how != Sent.IDW:  # it would lie on the other mean
-                ax.text(1.008, mean_mm, f"{mean_mm:.3f}", color=colour, va="center", fontsize=7.5,
-                        transform=ax.get_yaxis_transform())  # fmt: skip
-        ax.set_xlim(0, max(len(errors) for errors in series.values()) + 1)
-        ax.set_ylim(bottom=0.0)
-        ax.set(xlabel="target", ylabel="3D error, mm")
-        _legend_above(ax)
-        return figure, "Dashed lines: means. " + caption
-
     def rail(self) -> Drawn | None:
         survey = self.facts.part("rail_survey", SurveyedRail)
         if survey is None:
@@ -257,7 +220,7 @@ class Figures:
             ax.plot(nominal_mm, error_mm, marker=MARKERS[how], markersize=2.8, color=COLOURS[how],
                     markerfacecolor=face, label=way)  # fmt: skip
         ax.set(xlabel="nominal position on the rail, mm", ylabel="position error, mm")
-        _legend_above(ax)
+        legend_above(ax)
         return figure, (
             f"Backlash {_with_u(survey.backlash_mm, 'mm')}; "
             f"scale {_with_u(survey.scale_ppm, 'ppm')}. "
@@ -275,42 +238,12 @@ class Figures:
         for (name, how), style in zip(turns, ("-", "--", ":"), strict=True):
             ax.plot(nominal_mm, survey.angles_mrad[name], style, color=COLOURS[how], label=name)
         ax.set(xlabel="nominal position on the rail, mm", ylabel="angle, mrad")
-        _legend_above(ax)
+        legend_above(ax)
         off_mm = survey.straightness_mm
         return figure, (
             "Forth, against the first stop, from the slide's nests. Straightness of the path, peak "
             f"to peak: {off_mm['horizontal']:.3f} mm horizontal, "
             f"{off_mm['vertical']:.3f} mm vertical."
-        )
-
-    def similarity(self) -> Drawn | None:
-        """Draw the difference of errors over joint and Cartesian distance, of pairs of vertices."""
-        facts = self.facts
-        known = facts.log.frames.keys() | facts.log.verdicts.keys()
-        if not facts.is_paper or not {"base", "fit"} <= known:
-            return None
-        pairs = grid_pairs(facts.log)
-        count = len(pairs.difference_mm)
-        # each dot is an element of the page: a picture of them its policy would block
-        pairs_drawn = 500
-        every = max(1, count // pairs_drawn)
-        figure, axes = axes_grid(2.6, 1, 2, sharey=True)
-        for ax, distance, name in (
-            (axes[0, 0], np.degrees(pairs.joint_rad), "distance of joints, deg"),
-            (axes[0, 1], pairs.cartesian_mm, "distance of vertices, mm"),
-        ):
-            ax.plot(distance[::every], pairs.difference_mm[::every], ".", color=MUTED, alpha=0.35,
-                    markersize=2, label="a pair of vertices")  # fmt: skip
-            edges = np.linspace(0.0, distance.max(), 13)
-            middles, means, _ = binned(distance, pairs.difference_mm, edges)
-            ax.plot(middles, means, color=COLOURS[Sent.CHOSEN], label="mean")
-            ax.set_xlabel(name)
-        axes[0, 0].set_ylabel("difference of errors, mm")
-        _legend_above(axes[0, -1])
-        return figure, (
-            "The similarity of eq 8 is one over this difference: near joints have like errors. "
-            "Over one orientation of the tool the distance of the vertices says the same. "
-            f"Shown: {len(range(0, count, every))} of {count} pairs; the mean is of all."
         )
 
     def frames(self) -> Drawn | None:
@@ -332,7 +265,7 @@ class Figures:
             ax.set(title=f"station {station}", xlabel="slide point", xticks=ticks)
             ax.grid(visible=False, axis="x")
         axes[0, 0].set_ylabel("deviation, mm")
-        _legend_above(axes[0, -1])
+        legend_above(axes[0, -1])
         low, high = repeated.ratio_interval
         return figure, (
             f"Against station {facts.cell.grid.station}. The station frame repeats "
@@ -357,14 +290,14 @@ class Figures:
                 if len(off_mm):
                     off_mm = off_mm - off_mm.mean()
                     ranges.append(f"{SIDES[way]}, {label} {np.ptp(off_mm):.4f} mm")
-                    _scatter(ax, how, off_mm, label)
+                    scatter(ax, how, off_mm, label)
                     ax.plot(
                         np.arange(1, len(off_mm) + 1), off_mm, color=COLOURS[how], linewidth=0.7
                     )
             ticks = range(1, len(ax.lines[0].get_ydata()) + 1, 2)
             ax.set(title=SIDES[way], xlabel="approach", xticks=ticks)
         axes[0, 0].set_ylabel("deviation along the rail, mm")
-        _legend_above(axes[0, -1])
+        legend_above(axes[0, -1])
         return figure, (
             f"Deviation from each series' mean. Ranges: {'; '.join(ranges)}. "
             + facts.of_paper("The paper: at most 0.035 mm with the strip, backlash 0.2 mm without.")
