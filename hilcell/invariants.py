@@ -234,18 +234,20 @@ class RecordedRun:
     def _take_event(self, event: events.Event | events.OtherEvent) -> None:
         self.accepted |= isinstance(event, events.ChangesAccepted)
         match event:
-            case events.StationHeld() | events.StationFoundHeld():
+            case events.StationHeld() | events.StationAlreadyHeld():
                 self.held = event.station
-            case events.RetakeAsked() | events.OutlierMeasuredAgain() | events.VisitedOnceMore():
+            case (
+                events.RemeasureRequested() | events.OutlierRemeasured() | events.VisitedOnceMore()
+            ):
                 self.again.add(event.key)
             case events.StreamRecorded():
                 self.unproven[event.key] = self.session
-            case events.TrackerProven():
+            case events.TrackerVerified():
                 self._prove()
             case events.TrackerMoved():
                 self.set_up = event.set_up
                 self._drop(event.invalid)
-            case events.WorldFramedAgain():
+            case events.WorldRemeasured():
                 self._drop(event.invalid)
             case events.SafeStopSent():
                 self.reason = self.reason or event.cause
@@ -331,7 +333,7 @@ class Checker(RecordedRun):
             case events.StepBegun(name=name):
                 here = [key for key, session in self.unproven.items() if session == self.session]
                 yield from self._closed(f"step {name}", here)
-            case events.TrackerProven():
+            case events.TrackerVerified():
                 yield from self._proof()
             case events.TrackerMoved(invalid=invalid):
                 kept = sorted(self.unproven.keys() - set(invalid))

@@ -26,7 +26,7 @@ from hilcell.compensation.correction import corrected
 from hilcell.decoding import typed
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
-from hilcell.model.events import CalibrationUsed, OutlierMeasuredAgain
+from hilcell.model.events import CalibrationUsed, OutlierRemeasured
 from hilcell.model.frame import Frame
 from hilcell.model.plan import PlannedStep
 from hilcell.model.point import PointId
@@ -78,7 +78,7 @@ class Recheck:
         found = rechecked_run(session.log)
         if found.verdict == "redo" and not session.log.point(ids[found.worst]).retaken:
             n = found.worst
-            session.add(OutlierMeasuredAgain(key=ids[n].key))
+            session.add(OutlierRemeasured(key=ids[n].key))
             again = joints_rad[n], nominal_mm[n]
             session.flange_point(ids[n], station, again[0], nominal_mm=again[1], retake=True)
         session.close_step(carried=True)

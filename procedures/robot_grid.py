@@ -34,7 +34,7 @@ from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import bounds95_mm
 from hilcell.identification.measured_poses import IdentificationError
 from hilcell.journal.log import Log
-from hilcell.model.events import NoPosesChosen, OutlierMeasuredAgain, PosesChosen
+from hilcell.model.events import NoPosesChosen, OutlierRemeasured, PosesChosen
 from hilcell.model.plan import PlannedStep
 from hilcell.model.point import PointId
 from hilcell.ports import Array, HilcellError
@@ -114,7 +114,7 @@ class RobotGrid(Step):
         doubtful = [v for v in vertices if v[0] in ids and not session.log.point(v[0]).retaken]
         for id, *_ in doubtful:
             for seat in range(1, len(session.cell.robot.seats_mm) + 1):
-                session.add(OutlierMeasuredAgain(key=id.at_seat(seat).key))
+                session.add(OutlierRemeasured(key=id.at_seat(seat).key))
         return doubtful
 
     @staticmethod

@@ -25,7 +25,7 @@ from hilcell.compensation.targets import read_targets
 from hilcell.decoding import typed
 from hilcell.geometry.frames import inverse, poses_from_zyx
 from hilcell.journal.log import Log
-from hilcell.model.events import OutlierMeasuredAgain, TargetsListed
+from hilcell.model.events import OutlierRemeasured, TargetsListed
 from hilcell.model.plan import PlannedStep
 from hilcell.model.point import PointId
 from hilcell.ports import Array, HilcellError
@@ -76,7 +76,7 @@ class TargetPass:
         for name in gross_targets(session.log):
             n, id = names.index(name), PointId(KIND, target=name)
             if not session.log.point(id).retaken:
-                session.add(OutlierMeasuredAgain(key=id.key))
+                session.add(OutlierRemeasured(key=id.key))
                 session.flange_point(
                     id, station_of(cell), joints_rad[n], nominal_mm=values[n, :3], retake=True
                 )

@@ -220,7 +220,7 @@ class _Raised:
                 case events.ScreenLost() if record.seq > back:
                     found = "no screen is connected"
                     yield _cell("HC-C08", "screen lost", found, record, "watched")
-                case events.AnswerRefused() | events.RetakeRefused() as refused:
+                case events.AnswerRefused() | events.RemeasureRefused() as refused:
                     found = refused.subject + after(refused.why) if refused.subject else refused.why
                     code = "HC-C09" if isinstance(refused, events.AnswerRefused) else "HC-C14"
                     yield _cell(code, refused.what, found, record)
@@ -231,7 +231,7 @@ class _Raised:
         """Yield outliers and unusable sweeps."""
         for record in self.session:
             match record.fact:
-                case events.OutlierMeasuredAgain(key=key):
+                case events.OutlierRemeasured(key=key):
                     found = f"{key} differs from its neighbours and was re-measured"
                     yield _cell("HC-V05", "outlier", found, record)
                 case events.CurveMeasured(holds=False) as sweep:

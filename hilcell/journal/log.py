@@ -120,9 +120,9 @@ class SetUps:
                 self.refuted.update(self._proofs)
                 self._proofs.clear()
                 return invalid
-            case events.WorldFramedAgain(invalid=invalid):
+            case events.WorldRemeasured(invalid=invalid):
                 return invalid
-            case events.TrackerProven():
+            case events.TrackerVerified():
                 self._prove()
         return []
 
@@ -249,7 +249,7 @@ class Log:
         self.retakes: dict[str, None] = {}  # keys of points that wait to be re-measured
         self.link: events.LinkCounted | None = None  # of all sessions without a crash
         self.seated = ""  # the place of a reflector that is carried by hand
-        self.sights: dict[str, events.Seated] = {}
+        self.sights: dict[str, events.ReflectorPlaced] = {}
         self.streams: dict[str, events.StreamRecorded] = {}
         self.curves: dict[int, events.CurveMeasured] = {}  # by axis, 1 to 6
         self.assets: list[Identity] = []  # as last connected
@@ -341,9 +341,9 @@ class Log:
 
     def _take_event(self, event: events.Event | events.OtherEvent) -> None:
         match event:
-            case events.RetakeAsked():
+            case events.RemeasureRequested():
                 self.retakes[event.key] = None
-            case events.RetakeRefused():
+            case events.RemeasureRefused():
                 self.retakes.pop(event.key, None)
             case events.StationHeld():
                 self.order = None
@@ -358,7 +358,7 @@ class Log:
                 self.streams[event.key] = event
             case events.CurveMeasured():
                 self.curves[event.axis] = event
-            case events.Seated():
+            case events.ReflectorPlaced():
                 self.seated, self.sights[event.place] = event.place, event
 
     def _take_state(self, record: Record, change: StateChanged, before: Record | None) -> None:

@@ -108,7 +108,7 @@ class DeviceLost(Reasoned, frozen=True, kw_only=True, tag="device lost"):
 
 
 class DeviceBack(Event, frozen=True, kw_only=True, tag="device back"):
-    """It answers again."""
+    """A lost device answers again."""
 
     says: ClassVar[str] = "device back: {0.device} answers again"
     device: str
@@ -121,7 +121,7 @@ class Closing(Event, frozen=True, kw_only=True, omit_defaults=True):
     errors: dict[str, Json] = field(default_factory=dict)
 
     def _text(self) -> str:
-        left = f", but look at {' and '.join(self.problems)}" if self.problems else ""
+        left = f", but check {' and '.join(self.problems)}" if self.problems else ""
         return self.title + left
 
 
@@ -155,7 +155,7 @@ class LinkCounted(Event, frozen=True, kw_only=True, tag="link"):
     held_by_sdo: int = 0
 
     def followed_by(self, later: LinkCounted) -> LinkCounted:
-        """Return the counts of both; how the slide was held is of the later end."""
+        """Return the counts of both; the later one states how the slide was held."""
         counts = ("frames", "bad_lines", "refused", "malformed")
         sums = {name: getattr(self, name) + getattr(later, name) for name in counts}
         return msgspec.structs.replace(later, **sums)
@@ -195,12 +195,12 @@ class LinkCounted(Event, frozen=True, kw_only=True, tag="link"):
 
 
 class FactoryLinks(Event, frozen=True, kw_only=True, tag="factory links"):
-    """The controller computes with links that its maker has measured on this arm."""
+    """The controller computes with links measured on this arm in its factory."""
 
     off_mm: float
 
 
-# -- the course of a run ---------------------------------------------------------------------------
+# -- the timeline of a run -------------------------------------------------------------------------
 
 
 class StepBegun(Event, frozen=True, kw_only=True, tag="step"):
@@ -213,7 +213,7 @@ class StepBegun(Event, frozen=True, kw_only=True, tag="step"):
 
 
 class SessionOrdered(Event, frozen=True, kw_only=True, tag="order"):
-    """A session goes on: which one of its folder of runs it is, as `FolderOrder` says it."""
+    """A session continues: its place in its folder of runs, as in `FolderOrder`."""
 
     says: ClassVar[str] = "goes on as session {0.number}"
     number: int
@@ -222,22 +222,22 @@ class SessionOrdered(Event, frozen=True, kw_only=True, tag="order"):
 
 
 class Announced(Event, frozen=True, kw_only=True, tag="announced"):
-    """A motion that a person is asked to agree to."""
+    """A motion that an operator has to confirm."""
 
     says: ClassVar[str] = "announced: {0.motion}"
     motion: str
 
 
 class ScreenLost(Event, frozen=True, tag="screen lost"):
-    """Nobody watches any more."""
+    """No screen is connected any more."""
 
 
 class ScreenBack(Event, frozen=True, tag="screen back"):
-    """A screen attends again."""
+    """A screen is connected again."""
 
 
 class AnswerRefused(Reasoned, frozen=True, kw_only=True, tag="answer refused"):
-    """The answer to a prompt was not proven."""
+    """The answer to a prompt was refused."""
 
 
 class CommandRefused(Event, frozen=True, kw_only=True, tag="command refused"):
@@ -252,9 +252,9 @@ class CommandRefused(Event, frozen=True, kw_only=True, tag="command refused"):
 
 
 class AlarmsAcknowledged(Event, frozen=True, kw_only=True, tag="acknowledged"):
-    """Somebody has acknowledged the alarms of these codes that came up to record ``until``.
+    """An operator has acknowledged the alarms of these codes raised up to record ``until``.
 
-    The codes stand beside the last record that was seen: an alarm may have no record (0).
+    The codes are stored beside the last record shown: an alarm may have no record (0).
     """
 
     title: ClassVar[str] = "alarms acknowledged:"
@@ -270,15 +270,12 @@ class AlarmsAcknowledged(Event, frozen=True, kw_only=True, tag="acknowledged"):
         if not self.codes:
             return "acknowledge: expected codes of alarms, got none"
         if not 1 <= self.until <= newest:
-            return (
-                f"acknowledge: until: record {self.until} cannot have been seen; wanted is one of "
-                f"records 1 to {newest}"
-            )
+            return f"acknowledge: until: expected a record from 1 to {newest}, got {self.until}"
         return ""
 
 
 class ChangesAccepted(Event, frozen=True, kw_only=True, tag="changes accepted"):
-    """Somebody, or an option, has accepted that devices or cell file are not as they were."""
+    """An operator, or an option, has accepted changes of devices or cell file."""
 
     changes: list[str]
     by: str
@@ -299,13 +296,13 @@ class EarlierRunUnreadable(Reasoned, frozen=True, kw_only=True, tag="earlier run
     run: str
 
 
-# -- stations, tracker and room --------------------------------------------------------------------
+# -- stations, tracker and ambient temperature -----------------------------------------------------
 
 
 class ReadingTime(msgspec.Struct, frozen=True, omit_defaults=True):
     """When a reading was taken, in s of the PC's monotonic clock, and its age when it was used.
 
-    ``ended_s`` is when the motion before it was seen to have ended. Times of one session can be
+    ``ended_s`` is when the motion before it had ended by the readings. Times of one session can be
     compared with each other, and with nothing else.
     """
 
@@ -329,23 +326,23 @@ class StationHeld(Event, frozen=True, kw_only=True, tag="station held"):
         return f"rail held at {self.station}: {at}"
 
 
-class StationFoundHeld(Event, frozen=True, kw_only=True, tag="station found held"):
-    """The slide of a resumed run stands at the station already; a cell without rail always does."""
+class StationAlreadyHeld(Event, frozen=True, kw_only=True, tag="station found held"):
+    """The slide of a resumed run is at the station already; in a cell without rail always."""
 
     title: ClassVar[str] = "rail found held at"
     station: str
 
 
-class SlideProven(OfPoint, frozen=True, kw_only=True, tag="slide proven"):
-    """A nest on the slide was seen where it should be, off by ``off_mm``."""
+class SlideVerified(OfPoint, frozen=True, kw_only=True, tag="slide proven"):
+    """A nest on the slide was measured at its place, off by ``off_mm``."""
 
     says: ClassVar[str] = "slide checked by a nest: off {0.off_mm:.3f} mm"
     off_mm: float
     limit_mm: float
 
 
-class TrackerProven(Event, frozen=True, kw_only=True, tag="tracker proven"):
-    """The floor nests were seen where they were, each off by ``off_mm``."""
+class TrackerVerified(Event, frozen=True, kw_only=True, tag="tracker proven"):
+    """The floor nests were measured at their places, each off by ``off_mm``."""
 
     off_mm: list[float] = field(default_factory=list)
 
@@ -361,7 +358,7 @@ class Invalidating(Event, frozen=True, kw_only=True):
 
 
 class TrackerMoved(Invalidating, frozen=True, kw_only=True, tag="tracker moved"):
-    """The tracker stands elsewhere: set-up number ``set_up`` begins."""
+    """The tracker has moved: set-up number ``set_up`` begins."""
 
     set_up: int
     moved_mm: float = nan
@@ -373,23 +370,23 @@ class TrackerMoved(Invalidating, frozen=True, kw_only=True, tag="tracker moved")
         return f"tracker moved by {self.moved_mm:.3f} mm: {again}"
 
 
-class WorldFramedAgain(Invalidating, frozen=True, kw_only=True, tag="world frame begun again"):
+class WorldRemeasured(Invalidating, frozen=True, kw_only=True, tag="world frame begun again"):
     """Another engine measures all floor nests: the one before had measured some of them."""
 
 
-class RoomBack(Event, frozen=True, tag="room back"):
-    """The room is as it was, within its limits."""
+class AmbientInLimits(Event, frozen=True, tag="room back"):
+    """The ambient temperature is within its limits again."""
 
 
 class StripBack(Event, frozen=True, tag="strip back"):
-    """The magnetic strip reads well again."""
+    """The magnetic strip is readable again."""
 
 
 # -- points ----------------------------------------------------------------------------------------
 
 
 class FirstPassBegun(OfPoint, frozen=True, kw_only=True, tag="first pass"):
-    """The robot goes slowly to where it was never driven in this cell."""
+    """The robot goes slowly to a pose that it has never visited in this cell."""
 
     title: ClassVar[str] = "first pass of"
     speed_percent: float
@@ -404,35 +401,35 @@ class NoReadingOf(OfPoint, frozen=True, kw_only=True, tag="no reading"):
     error: Json = field(default_factory=dict)
 
 
-class RetakeAsked(OfPoint, frozen=True, kw_only=True, tag="retake asked"):
-    """Somebody asks for a point to be re-measured, or the room did."""
+class RemeasureRequested(OfPoint, frozen=True, kw_only=True, tag="retake asked"):
+    """An operator, or the ambient temperature, requires that a point is re-measured."""
 
     title: ClassVar[str] = "re-measurement asked of"
 
 
-class RetakeRefused(OfPoint, frozen=True, kw_only=True, tag="retake refused"):
+class RemeasureRefused(OfPoint, frozen=True, kw_only=True, tag="retake refused"):
     """The point can no longer be re-measured."""
 
     title: ClassVar[str] = "not re-measured:"
     reason: str
 
 
-class OutlierMeasuredAgain(OfPoint, frozen=True, kw_only=True, tag="outlier measured again"):
-    """A point stood out from its neighbours."""
+class OutlierRemeasured(OfPoint, frozen=True, kw_only=True, tag="outlier measured again"):
+    """A point is an outlier among its neighbours."""
 
-    title: ClassVar[str] = "stands out and is measured again:"
+    title: ClassVar[str] = "outlier, re-measured:"
 
 
 class VisitedOnceMore(OfPoint, frozen=True, kw_only=True, tag="visited once more"):
-    """A pose that was not where it had been is looked at once more."""
+    """A pose that differs from its first visit is visited once more."""
 
     title: ClassVar[str] = "visited once more:"
 
 
-class Seated(Event, frozen=True, kw_only=True, tag="seated"):
-    """Where a reflector was seen once it was seated, tracker's frame, and what the strip read."""
+class ReflectorPlaced(Event, frozen=True, kw_only=True, tag="seated"):
+    """A placed reflector: its position in the tracker's frame, and the strip's reading."""
 
-    says: ClassVar[str] = "reflector seated in {0.place}"
+    says: ClassVar[str] = "reflector placed in {0.place}"
     place: str
     xyz_mm: Three
     strip_mm: float = nan
@@ -441,7 +438,7 @@ class Seated(Event, frozen=True, kw_only=True, tag="seated"):
 class StreamRecorded(OfPoint, frozen=True, kw_only=True, tag="stream"):
     """A stream of readings during a sweep; ``file`` is in the run's folder of streams.
 
-    What stands below ``form`` says how the axis (1 to 6) was swept.
+    The fields below ``form`` describe the sweep of the axis (1 to 6).
     """
 
     title: ClassVar[str] = "recorded"
@@ -466,12 +463,13 @@ class StreamRecorded(OfPoint, frozen=True, kw_only=True, tag="stream"):
 class CurveMeasured(Event, frozen=True, kw_only=True, tag="curve"):
     """Figures of the transmission of one axis, 1 to 6.
 
-    ``reason`` is empty where the curve holds. ``amplitude_rad`` are cosine and sine of each of
-    ``cycles`` per revolution, ``covariance_rad2`` theirs by turns. ``shown`` is for pictures: joint
-    in deg, short-wave error as measured and by the curve in urad; ``spectrum`` cycles and urad.
+    ``reason`` is empty where there is a curve. ``amplitude_rad`` are cosine and sine of each of
+    ``cycles`` per revolution, ``covariance_rad2`` theirs alternately. ``shown`` is for pictures:
+    joint in deg, short-wave error as measured and by the curve in urad; ``spectrum`` cycles and
+    urad.
     """
 
-    says: ClassVar[str] = "curve of {0.words}"
+    says: ClassVar[str] = "curve of {0.summary}"
     axis: int
     reason: str
     cycles: list[float]
@@ -502,7 +500,7 @@ class CurveMeasured(Event, frozen=True, kw_only=True, tag="curve"):
         return [URAD * sqrt(cosine**2 + sine**2) for cosine, sine in self.amplitude_rad]
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         if not self.holds:
             return f"A{self.axis} not used: {self.reason}"
         sizes = sorted(zip(self.amplitudes_urad, self.cycles, strict=True), reverse=True)
@@ -515,14 +513,14 @@ class AxesNotSwept(Reasoned, frozen=True, kw_only=True, tag="axes not swept"):
 
 
 class PosesChosen(Event, frozen=True, kw_only=True, tag="poses chosen"):
-    """Joints (N, 6) that tell most, and the predicted bound before and after each."""
+    """The most informative joints (N, 6), and the predicted bound before and after each."""
 
     joints_deg: list[list[float]]
     bounds_mm: list[float]
 
 
 class NoPosesChosen(Reasoned, frozen=True, kw_only=True, tag="no poses chosen"):
-    """No choice was possible; the run goes on without."""
+    """No choice was possible; the run continues without."""
 
     error: Json
 
@@ -556,7 +554,7 @@ class CalibrationUsed(Event, frozen=True, kw_only=True, tag="calibration used"):
 
 
 class CalibrationRevoked(Reasoned, frozen=True, kw_only=True, tag="calibration revoked"):
-    """Somebody has revoked the run's own calibration."""
+    """An operator has revoked the run's own calibration."""
 
     operator: str = ""
 

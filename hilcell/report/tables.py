@@ -29,7 +29,12 @@ from hilcell.cell.file import Station
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.statistics import Figures
 from hilcell.identity import Identity
-from hilcell.model.events import Invalidating, OutlierMeasuredAgain, RetakeAsked, VisitedOnceMore
+from hilcell.model.events import (
+    Invalidating,
+    OutlierRemeasured,
+    RemeasureRequested,
+    VisitedOnceMore,
+)
 from hilcell.model.frame import MeasuredBase, MeasuredStation, TouchedBase
 from hilcell.model.point import BOTH, Point, Sent
 from hilcell.model.results import PaperRow, Repeated
@@ -266,7 +271,7 @@ class Tables:
         seats, times = seats_of(self.facts.log), Counter[str]()
         for record in self.facts.records:
             match record.fact:
-                case RetakeAsked() | OutlierMeasuredAgain() | VisitedOnceMore() as event:
+                case RemeasureRequested() | OutlierRemeasured() | VisitedOnceMore() as event:
                     reasons[event.key] = REASONS[event.what]
                 case Invalidating(invalid=invalid):
                     reasons |= dict.fromkeys(invalid, "measured before the tracker was found moved")

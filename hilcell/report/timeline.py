@@ -20,10 +20,10 @@ from hilcell.model.events import (
     OtherEvent,
     PosesChosen,
     SessionOrdered,
-    SlideProven,
+    SlideVerified,
     StepBegun,
     StreamRecorded,
-    TrackerProven,
+    TrackerVerified,
     after,
 )
 from hilcell.model.frame import Frame
@@ -108,7 +108,7 @@ class _Timeline:
             return [self._start(log)]
         # Routine, or in a table of its own: counted, not listed.
         routine = (
-            Connected, Closed, TrackerProven, SlideProven, StreamRecorded, LinkCounted,
+            Connected, Closed, TrackerVerified, SlideVerified, StreamRecorded, LinkCounted,
             SessionOrdered,
         )  # fmt: skip
         states = {

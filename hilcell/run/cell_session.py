@@ -14,7 +14,7 @@ import numpy as np
 from hilcell.cell.file import Nest, Station
 from hilcell.geometry.frames import apply
 from hilcell.geometry.kinematics import forward
-from hilcell.model.events import RetakeRefused, StreamRecorded
+from hilcell.model.events import RemeasureRefused, StreamRecorded
 from hilcell.model.point import Point, PointId
 from hilcell.ports import Array
 from hilcell.run.mover import StraightApproach, SweepCommand
@@ -78,7 +78,7 @@ class CellSession(Watch):
         waiting = [self.log.points[key] for key in self.log.retakes]
         for point in waiting:
             if refused := remeasure_refusal(self.log, point):
-                self.add(RetakeRefused(key=point.key, reason=refused))
+                self.add(RemeasureRefused(key=point.key, reason=refused))
                 continue
             station = self.cell.station_named(point.station)
             joints_rad = np.radians(point.commanded_deg or ())

@@ -33,7 +33,7 @@ from hilcell.journal.labels import offset_min
 from hilcell.journal.log import RunJournal
 from hilcell.journal.previous_reference import floor_before
 from hilcell.journal.runs import CALIBRATION, JOURNAL, is_run, make_folder, remove_unbegun
-from hilcell.model.events import ChangesAccepted, RetakeAsked, SessionOrdered
+from hilcell.model.events import ChangesAccepted, RemeasureRequested, SessionOrdered
 from hilcell.model.plan import FolderOrder, PlanRecord
 from hilcell.model.point import CONTROL
 from hilcell.model.records import Ended
@@ -303,7 +303,7 @@ class ResumedEngine(Engine):
             place = msgspec.structs.asdict(self._place())
             self.journal.append("event", "", SessionOrdered(**place))
         for key in self.plan.retakes:
-            self.journal.append("event", "", RetakeAsked(key=key))
+            self.journal.append("event", "", RemeasureRequested(key=key))
 
 
 def finished_runs(runs: Path, cell: Cell) -> list[str]:

@@ -11,7 +11,7 @@ from hilcell.calibration.controller_pose import check_pose
 from hilcell.cell.devices import two_face_tracker
 from hilcell.cell.file import Nest
 from hilcell.geometry.frames import inverse
-from hilcell.model.events import NoReadingOf, ReadingTime, Seated
+from hilcell.model.events import NoReadingOf, ReadingTime, ReflectorPlaced
 from hilcell.model.point import Point, PointId, Readings
 from hilcell.ports import Array, DeviceError, NoReading, RobotReading, TrackerReading
 from hilcell.run.interlocks import check_held, check_strip, reading_time
@@ -172,7 +172,7 @@ class Meter(Mover):
         prompt = placement_prompt(self.cell, place, self.log.seated, near_mm, limit_mm)
         result = self.ask(prompt, lambda: self._verify_reflector(f"verify {place}", near_mm), None)
         assert result.xyz_mm is not None  # noqa: S101 - a verified answer has a reading
-        self.add(Seated(place=place, xyz_mm=result.xyz_mm, strip_mm=rail.strip_mm))
+        self.add(ReflectorPlaced(place=place, xyz_mm=result.xyz_mm, strip_mm=rail.strip_mm))
 
     def _expected(self, place: str, nominal_mm: Array, strip_mm: float) -> tuple[Array, float]:
         """Return the expected position (3,) of a placed reflector, tracker's frame, and its limit.

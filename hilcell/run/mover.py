@@ -242,7 +242,7 @@ class Mover(RunContext):
             return
         if not self.cell.has_rail or (not again and self._is_at(station)):
             self.held = station
-            self.add(events.StationFoundHeld(station=station.name))
+            self.add(events.StationAlreadyHeld(station=station.name))
             return
         began = self._prepare_rail("rail.approach", {"station": station.name})
         tries = approach_station(self.devices.rail, self.cell.rail, station)

@@ -38,7 +38,7 @@ from hilcell.model.events import (
     CommandRefused,
     InternalError,
     LinkCounted,
-    RetakeAsked,
+    RemeasureRequested,
     SafeStopSent,
     ScreenBack,
     ScreenLost,
@@ -160,7 +160,7 @@ class Runner:
         if refused := retake_refusal(self.log, key):
             return refused
         try:
-            self._journal.append("event", "", RetakeAsked(key=key))
+            self._journal.append("event", "", RemeasureRequested(key=key))
         except StorageError as error:
             return str(error)
         return ""

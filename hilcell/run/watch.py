@@ -33,12 +33,12 @@ from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import BeamNoise, coverage_factor, lengths_mm
 from hilcell.journal.log import PROOFS, noise_at, positions_mm, run_noise, world_key
 from hilcell.model.events import (
-    RetakeAsked,
-    RoomBack,
-    SlideProven,
+    AmbientInLimits,
+    RemeasureRequested,
+    SlideVerified,
     TrackerMoved,
-    TrackerProven,
-    WorldFramedAgain,
+    TrackerVerified,
+    WorldRemeasured,
 )
 from hilcell.model.frame import Frame
 from hilcell.model.point import HELD, LENGTH, Point, PointId
@@ -132,7 +132,7 @@ class Watch(Meter):
         ids = self._nest_ids(number)
         # Since an engine before this one measured them, the tracker may have moved.
         if begun := [id.key for id in ids if self.log.find(id)]:
-            self.add(WorldFramedAgain(invalid=begun))
+            self.add(WorldRemeasured(invalid=begun))
         nests = self._measured(ids)
         measured_mm = positions_mm(nests)
         if not number:
@@ -161,7 +161,7 @@ class Watch(Meter):
             if some_unmoved(before, now):
                 self._refuse_moved_nests(motions_mm(before, now))
             self._renew(before, now)
-        self.add(TrackerProven(off_mm=motions_mm(before, now).tolist()))
+        self.add(TrackerVerified(off_mm=motions_mm(before, now).tolist()))
 
     def close_step(self, *, carried: bool = False) -> None:
         """Verify the tracker at the end of a measuring step.
@@ -378,7 +378,7 @@ class Watch(Meter):
         point = self.record_point(id, station.name, reading)
         off = self._off(station, point)
         if off.holds:
-            self.add(SlideProven(key=point.key, off_mm=off.off_mm, limit_mm=off.limit_mm))
+            self.add(SlideVerified(key=point.key, off_mm=off.off_mm, limit_mm=off.limit_mm))
         return off
 
     def _off(self, station: Station, now: Point) -> SlideOffset:
@@ -386,7 +386,7 @@ class Watch(Meter):
 
         The very first hold has none. Between stations the strip's own error allows more.
         """
-        keys = (each.key for each in self.log.happened(SlideProven))
+        keys = (each.key for each in self.log.happened(SlideVerified))
         before = [self.log.points[key] for key in keys if key in self.log.points]
         here = [point for point in before if point.station == station.name]
         if not before:
@@ -433,13 +433,13 @@ class Watch(Meter):
         )
         self._temperature_good_since_s = None
         if not retake_refusal(self.log, point.key):
-            self.add(RetakeAsked(key=point.key))  # also after a resume
+            self.add(RemeasureRequested(key=point.key))  # also after a resume
         self.ask(
             prompt,
             lambda: self._verify_ambient_temperature(np.array(prompt.expected_mm), then_c),
             cause,
         )
-        self.add(RoomBack())
+        self.add(AmbientInLimits())
 
     def _temperature_error(self, point: Point, then_c: float) -> NoReading:
         table, now_c = self.cell.room, point.temperature_c or 0.0

@@ -28,7 +28,7 @@ from hilcell.decoding import Json, typed
 from hilcell.errors import HilcellError
 from hilcell.journal.labels import point_id, procedure_label, with_labels
 from hilcell.journal.log import Log
-from hilcell.model.events import TrackerProven
+from hilcell.model.events import TrackerVerified
 from hilcell.model.outcome import Outcome
 from hilcell.model.verdicts import (
     AD,
@@ -399,7 +399,7 @@ def _whole(*phrases: Text) -> Lines:
 
 
 def _drift(view: RunView, glyphs: Glyphs, standing: int) -> Lines:
-    proofs = [e.fact.off_mm for e in view.log.events if isinstance(e.fact, TrackerProven)]
+    proofs = [e.fact.off_mm for e in view.log.events if isinstance(e.fact, TrackerVerified)]
     moved = max((max(each) for each in proofs if each), default=None)
     over = sum(alarm.cause == "over" for alarm in view.alarms)
     count = max(len(view.alarms), standing) - over

@@ -288,5 +288,5 @@ def test_a_log_has_the_curve_as_it_was() -> None:
 def test_a_result_without_a_curve_says_why() -> None:
     record = without_curve(4, "upwards: 9 samples")
     assert not record.holds
-    assert "upwards: 9 samples" in record.words
+    assert "upwards: 9 samples" in record.summary
     assert len(transmission_curve(record).cycles) == 0

@@ -12,8 +12,8 @@ from hilcell.model.events import (
     DeviceBack,
     DeviceLost,
     OtherEvent,
-    RetakeRefused,
-    StationFoundHeld,
+    RemeasureRefused,
+    StationAlreadyHeld,
     StepBegun,
     TrackerMoved,
 )
@@ -33,10 +33,10 @@ def test_an_event_of_a_plug_in_keeps_its_fields_and_says_what_it_is_about() -> N
     ("event", "text"),
     [
         (
-            RetakeRefused(key="grid/0", reason="it is fitted"),
+            RemeasureRefused(key="grid/0", reason="it is fitted"),
             "not re-measured: grid/0: it is fitted",
         ),
-        (StationFoundHeld(station="S300"), "rail found held at S300"),
+        (StationAlreadyHeld(station="S300"), "rail found held at S300"),
         (DeviceLost(device="Rail", reason="no answer", error={}), "device lost: no answer"),
         (DeviceBack(device="rail"), "device back: rail answers again"),
         (
