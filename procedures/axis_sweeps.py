@@ -30,8 +30,6 @@ from hilcell.run.procedure import Result
 from procedures import plan
 
 DIRECTIONS = ("up", "down")
-TRIES, ATTEMPTS = 3, 2  # of one sweep after a broken beam, and of both sweeps of an axis
-STREAM_S = 1.5  # begin and end of a stream
 
 
 class Swept(StepResult, frozen=True, kw_only=True):
@@ -72,6 +70,9 @@ class AxisSweeps:
     A joint's lag behind the tracker has opposite signs upwards and downwards, so it is identified.
     """
 
+    TRIES, ATTEMPTS = 3, 2  # of one sweep after a broken beam, of both sweeps of an axis
+    STREAM_S = 1.5  # begin and end of a stream
+
     name = "axis-sweeps"
     needs = "the base frame, the grid's station held; a tracker that streams, a robot that sweeps"
     moves = "single axes slowly, through the cube's middle"
@@ -98,7 +99,7 @@ class AxisSweeps:
                 below_rad = below(cell, start_rad)
                 seconds += float(plan.robot_moves_s(cell, here_rad, below_rad, percent))
                 seconds += float(plan.robot_moves_s(cell, below_rad, start_rad, percent))
-                seconds += cell.settle.robot_s + STREAM_S + turn_deg / cell.sweeps.speed_deg_s
+                seconds += cell.settle.robot_s + self.STREAM_S + turn_deg / cell.sweeps.speed_deg_s
                 here_rad = end_rad
         count = len(DIRECTIONS) * len(axes_of(cell))
         return PlannedStep.of_spans(
@@ -120,7 +121,7 @@ class AxisSweeps:
 
     def _swept(self, session: CellSession, cube: CubeJoints, axis: int) -> CurveMeasured:
         """Return an axis's curve; sweep again where the first sweeps cannot be used."""
-        for attempt in range(1, ATTEMPTS + 1):
+        for attempt in range(1, self.ATTEMPTS + 1):
             up, down = (
                 self._sweep(session, cube, axis, direction, attempt) for direction in DIRECTIONS
             )
@@ -156,13 +157,13 @@ class AxisSweeps:
 
     def _record(self, session: CellSession, order: SweepCommand) -> None:
         """Sweep, up to `TRIES` times after a broken beam; raises `NoReading`."""
-        for tries in range(1, TRIES + 1):
+        for tries in range(1, self.TRIES + 1):
             try:
                 session.sweep(order)
             except NoReading as error:
                 key, said, facts = order.key, str(error), error.of_point(order.key).facts()
                 session.add(NoReadingOf(key=key, tries=tries, reason=said, error=facts))
-                if tries == TRIES:
+                if tries == self.TRIES:
                     raise
             else:
                 return

@@ -162,7 +162,6 @@ def survey_table(result: Result) -> Table:
 
 # -- stations -------------------------------------------------------------------------------------
 
-APPROACH_MM = 150.0
 METHODS = ("plain", "strip")
 
 
@@ -215,6 +214,8 @@ class StationRepeatability:
     First always from below, then from a random side: the difference is the direction's effect.
     """
 
+    APPROACH_MM = 150.0
+
     name = "station-repeatability"
     needs = "the world frame, a reflector on the slide"
     moves = "the slide to and fro around the grid's station"
@@ -223,8 +224,8 @@ class StationRepeatability:
 
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         station = cell.reference
-        away_s = rail_move_s(cell, APPROACH_MM)
-        by_strip_s = approach_s(cell, station.rail_mm - APPROACH_MM, station)
+        away_s = rail_move_s(cell, self.APPROACH_MM)
+        by_strip_s = approach_s(cell, station.rail_mm - self.APPROACH_MM, station)
         each_s = away_s + measure_s(cell, cell.nest_samples)
         visits = 2 * cell.survey.repeats
         plain = Span("plain approach", visits, visits * (each_s + away_s))
@@ -252,7 +253,7 @@ class StationRepeatability:
         if session.log.find(id):
             return
         station = session.cell.reference
-        session.rail_to(station.rail_mm + side * APPROACH_MM)
+        session.rail_to(station.rail_mm + side * self.APPROACH_MM)
         if how == "strip":
             session.hold_station(station, again=True)
         else:

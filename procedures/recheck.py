@@ -41,9 +41,6 @@ from procedures.rail import HoldStation
 from procedures.world_frame import Home, WorldFrame
 
 TABLE = "recheck"
-MARGIN = 0.05  # of the volume's sides: poses keep off its faces
-AXES = np.vstack([np.eye(3), -np.eye(3)])
-GOLDEN = 1.2207440846057596  # root of x^4 = x + 1: its powers spread points evenly in space
 
 
 class Recheck:
@@ -118,9 +115,11 @@ def places_mm(calibration: Calibration, count: int, seed: int) -> Array:
         np.array(corner) for corner in (calibration.validity.low_mm, calibration.validity.high_mm)
     )
     begin = np.random.default_rng([seed, 230]).uniform(size=3)
-    steps = GOLDEN ** -np.arange(1.0, 4.0)
+    root = 1.2207440846057596  # of x^4 = x + 1: its powers spread points evenly in space
+    steps = root ** -np.arange(1.0, 4.0)
+    margin = 0.05  # of the volume's sides
     share = (begin + np.outer(np.arange(count), steps)) % 1.0
-    places: Array = low_mm + (MARGIN + (1 - 2 * MARGIN) * share) * (high_mm - low_mm)
+    places: Array = low_mm + (margin + (1 - 2 * margin) * share) * (high_mm - low_mm)
     return places
 
 
@@ -133,9 +132,10 @@ def _turned(cell: Cell, calibration: Calibration, poses: Array) -> Array:
     tilt_deg = calibration.validity.orientation_tolerance_deg
     if not tilt_deg > ORIENTATION_TOLERANCE_DEG:
         return poses
+    axes = np.vstack([np.eye(3), -np.eye(3)])
     station, tilt_share = cell.reference, 0.9  # of the angle by which targets may turn
     for n in range(1, len(poses), 2):
-        turns = np.radians(tilt_share * tilt_deg) * np.roll(AXES, -n, axis=0)
+        turns = np.radians(tilt_share * tilt_deg) * np.roll(axes, -n, axis=0)
         tried = reoriented(np.tile(poses[n], (len(turns), 1, 1)), turns)
         possible = np.flatnonzero(drivable(cell, station, tried))
         if len(possible):

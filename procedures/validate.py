@@ -50,7 +50,7 @@ from procedures.repeatability import floor, judge_suspicions
 from procedures.station_frames import frame_spans, frame_station, nest_points
 from procedures.touch_station import touch_once, touch_spans, touches
 
-DRAWS = 8  # attempts at a target's orientation, and at its position
+DRAWS = 8  # attempts at a target's orientation and position
 MARGIN_MM = 5.0  # of random targets to the cube's faces
 
 

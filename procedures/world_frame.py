@@ -117,11 +117,10 @@ class WorldFrame:
             session.pause(f"the tracker's scale is not the certificate's: {'; '.join(wrong)}")
 
 
-SAMPLES = 5
-
-
 class TwoFaces:
     """Readings in the second face, compared with the newest ones in the first."""
+
+    SAMPLES = 5
 
     needs = "the world frame; a tracker that turns over"
     moves = "nothing but the tracker's head"
@@ -137,7 +136,7 @@ class TwoFaces:
         if reason := left_out(cell):
             return PlannedStep(self.name, 0, 0.0, note=reason)
         count, face_s = len(self._nests(cell)), 4.0  # to turn over and point
-        each_s = 2.0 * face_s + plan.measure_s(cell, SAMPLES)
+        each_s = 2.0 * face_s + plan.measure_s(cell, self.SAMPLES)
         return PlannedStep.of_spans(self.name, 0, [Span("second face", count, count * each_s)])
 
     def perform(self, session: CellSession) -> None:
@@ -147,7 +146,7 @@ class TwoFaces:
             return
         for nest in self._nests(cell):
             session.second_face_point(
-                PointId(BACK, number=self._number, nest=nest.name), nest, SAMPLES
+                PointId(BACK, number=self._number, nest=nest.name), nest, self.SAMPLES
             )
         found = two_faces(log, self._number)
         if found is None:  # the tracker was moved: no first face at this set-up

@@ -24,9 +24,6 @@ All alarms by code, generated from the catalogues of hilcell, its drivers and it
   that end in 99 the first step is the advice of the operation that failed.
 - A stop on the screen is a software stop. It is not the E-stop.
 """
-COLUMNS = "| code | alarm | meaning | steps |\n|---|---|---|---|"
-MARKS = {"you": "", "controller": " ✓"}
-ENDS = {"resume": "", "new run": " *New run.*", "nothing": " *No action.*"}
 
 
 def page() -> str:
@@ -50,15 +47,18 @@ def page() -> str:
 
 
 def _chapter(title: str, entries: list[Entry]) -> str:
-    return "\n".join([f"## {title}\n", COLUMNS, *map(_row, entries), ""])
+    columns = "| code | alarm | meaning | steps |\n|---|---|---|---|"
+    return "\n".join([f"## {title}\n", columns, *map(_row, entries), ""])
 
 
 def _row(entry: Entry) -> str:
+    marks = {"you": "", "controller": " ✓"}
+    ends = {"resume": "", "new run": " *New run.*", "nothing": " *No action.*"}
     severity = "" if entry.severity == "fault" else f" (*{entry.severity}*)"
-    steps = [step + MARKS[by] for step, by in zip(entry.do, entry.checked_by, strict=True)]
+    steps = [step + marks[by] for step, by in zip(entry.do, entry.checked_by, strict=True)]
     if len(steps) > 1:
         steps = [f"{number}. {step}" for number, step in enumerate(steps, start=1)]
-    last = f"{' '.join(steps)}{ENDS[entry.then]}"
+    last = f"{' '.join(steps)}{ends[entry.then]}"
     cells = (entry.code, f"{entry.title}{severity}", entry.means, last)
     return f"| {' | '.join(each.replace('|', chr(92) + '|') for each in cells)} |"
 

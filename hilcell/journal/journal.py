@@ -82,9 +82,7 @@ NOT_FOUND_ERRNOS = (
 )  # other errors hide a file
 MAX_JOURNAL_BYTES = 2**28  # bytes of a journal; one of a thousand points has some 2**23
 MAX_RECORD_BYTES = 2**25  # bytes
-# Of SQLite's virtual machine, some 15 a record: bounds the reading of a hostile file.
-MAX_STEPS, STEPS = 2 * 10**8, 10**6
-NULL = b"null"  # JSON of None, and of every number that is not finite
+MAX_STEPS = 2 * 10**8  # of SQLite's virtual machine, some 15 a record: bounds a hostile file
 RESTORE_ADVICE = "fetch the run's folder from the backup, or start a new run with `hilcell run`"
 # Raised while reading a file that is no journal.
 CONTENT_ERRORS = (ValueError, TypeError, msgspec.MsgspecError, RecursionError, MemoryError)
@@ -336,7 +334,7 @@ def plain_body(body: Body, what: str, then: str = "") -> tuple[Json, bytes]:
     """Return a record's body in plain types, and its JSON; raises `NotFinite` that names it."""
     plain: Json = msgspec.to_builtins(body, enc_hook=lambda value: value.tolist())
     text = msgspec.json.encode(plain)
-    if NULL in text and (bad := _not_finite(plain)):
+    if b"null" in text and (bad := _not_finite(plain)):
         raise NotFinite(
             f"{what}: {bad.removeprefix('.')}, expected a finite number; nothing was written; "
             f"check the device that it came from{then}"
@@ -420,9 +418,10 @@ def _check_kinds(path: Path) -> None:
 
 def _bound(base: sqlite3.Connection) -> None:
     """Limit the size of records and the duration of queries."""
-    left = iter(range(MAX_STEPS // STEPS))
+    steps = 10**6  # between two calls of the handler
+    left = iter(range(MAX_STEPS // steps))
     base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_RECORD_BYTES)
-    base.set_progress_handler(lambda: next(left, None) is None, STEPS)
+    base.set_progress_handler(lambda: next(left, None) is None, steps)
 
 
 @cache

@@ -23,7 +23,7 @@ from hilcell.journal.journal import StorageError
 OVERRIDE = "HILCELL_LOCKS"  # names another folder, which all users of this machine must share
 USUAL = Path("/run/lock/hilcell")
 BEFORE_SET_UP = Path("/tmp/hilcell-locks")  # noqa: S108 - sticky; see the module docstring
-FOR_ALL = 0o1777  # sticky: every user may add files and remove only their own
+SHARED_MODE = 0o1777  # sticky: every user may add files and remove only their own
 HOLDER_BYTES = 256  # written in place: a file that is no lock loses no more than its beginning
 
 
@@ -70,7 +70,7 @@ def _make_for_all(folder: Path) -> None:
     with _storage_errors(folder, "locks"):
         before = os.umask(0)  # else another user could find it closed for a moment
         try:
-            folder.mkdir(FOR_ALL)
+            folder.mkdir(SHARED_MODE)
         except FileExistsError:
             found = folder.lstat()
             if not stat.S_ISDIR(found.st_mode):
@@ -97,7 +97,7 @@ def _check_trusted(folder: Path, *, of_anybody: bool = False) -> None:
 
 
 def _set_up(folder: Path) -> str:
-    return f"sudo install -d -o root -g root -m {FOR_ALL:o} {folder}"
+    return f"sudo install -d -o root -g root -m {SHARED_MODE:o} {folder}"
 
 
 @contextmanager

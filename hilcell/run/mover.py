@@ -105,7 +105,6 @@ def _check_strip_follows(
         )
 
 
-FROZEN = "HC-S02"
 SAME_POSE_RAD = 1e-4  # of joints read back
 
 
@@ -306,7 +305,7 @@ class Mover(RunContext):
             return Verification(
                 None, f"the slide moves at {reading.velocity_mm_s:.3f} mm/s", reading.taken_s
             )
-        off_mm = abs(reading.strip_mm - reading.position_mm) if lost.code == FROZEN else 0.0
+        off_mm = abs(reading.strip_mm - reading.position_mm) if lost.code == "HC-S02" else 0.0
         why = f"strip {reading.strip_mm:.2f} mm, drive {reading.position_mm:.2f} mm"
         return Verification(off_mm, why, reading.taken_s)
 

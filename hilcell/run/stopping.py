@@ -14,9 +14,7 @@ from collections.abc import Callable, Mapping
 from hilcell.cell.devices import Devices
 from hilcell.errors import DeviceError, HilcellError
 
-STOP_S = 2.0  # each device may take this long to put its stop frame on the wire
 CLOSE_S = 12.0  # of a rail: twice the time that its drive may take
-AT_REST = {"Rail": "held", "Robot": "at rest"}  # at the end of a run
 
 
 class SafeStop:
@@ -36,7 +34,7 @@ class SafeStop:
     def wait(self) -> dict[str, Exception]:
         """Stop, wait until all frames are sent, and return the problems by device."""
         self._go.set()
-        return self._calls.wait(STOP_S)
+        return self._calls.wait(2.0)  # s to put its stop frame on the wire
 
     def dismiss(self) -> None:
         """End the threads without a stop."""
@@ -52,11 +50,12 @@ def close_all(devices: Devices) -> dict[str, Exception]:
 
 def not_at_rest(problems: Mapping[str, Exception]) -> DeviceError | None:
     """Return the error of rail or robot not left at rest, or None."""
+    states = {"Rail": "held", "Robot": "at rest"}
     found = [
-        f"{device.lower()} could not be confirmed {AT_REST[device]}: "
+        f"{device.lower()} could not be confirmed {states[device]}: "
         f"{error.summary if isinstance(error, DeviceError) else error}"
         for device, error in problems.items()
-        if device in AT_REST
+        if device in states
     ]
     if not found:
         return None
