@@ -31,8 +31,8 @@ def busy(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Threads take turns all the time, and a sign of life is due at each look, as on a late PC."""
     before_s = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)
-    for module, name in (robot_c3.C3Controller, "SIGN_S"), (robot_rtde.UrRtdeRobot, "LIFE_EVERY_S"):
-        monkeypatch.setattr(module, name, 0.0)
+    for driver in (robot_c3.C3Controller, robot_rtde.UrRtdeRobot):
+        monkeypatch.setattr(driver, "HEARTBEAT_S", 0.0)
     yield
     sys.setswitchinterval(before_s)
 

@@ -39,9 +39,9 @@ def test_a_fault_is_practised(tmp_path: Path) -> None:
         sim.stdin.write("\n")
         sim.stdin.flush()
         said = []
-        while "put right" not in (line := sim.stderr.readline()):
+        while "repaired" not in (line := sim.stderr.readline()):
             said.append(line)
-        assert "It was: the E-stop was pressed.\n" in said
+        assert "The fault was: the E-stop was pressed.\n" in said
         assert any(catalogue()["HC-B10"].do[0] in line for line in said)
         while "q ends" not in sim.stderr.readline():  # the menu again: the cell is healed
             pass
