@@ -219,7 +219,6 @@ class SlideMonitor(Generic[P]):
             RAIL.name,
             operation,
             f"strip sensor: {self._alarm_text(alarms)}",
-            act="check the strip and its head, then resume",
             fields={"alarms": alarms},
         )
 

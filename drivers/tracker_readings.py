@@ -99,16 +99,15 @@ def off_target(off_mm: float, radius_mm: float, operation: str = "measure") -> N
         operation,
         f"the reflector is {off_mm:.2f} mm from its expected place",
         expected=f"<= {radius_mm:.2f} mm",
-        act="another reflector was caught, a late result came, or units differ; clear the view",
         off_mm=off_mm,
         limit_mm=radius_mm,
     )
 
 
-def scatter_error(found: str, limit_mm: float, act: str, **figures: float) -> NoReading:
+def scatter_error(found: str, limit_mm: float, **figures: float) -> NoReading:
     """Return the error of a result that scatters; ``figures`` are its values."""
-    expected, figures = f"<= {limit_mm:.4f} mm", {**figures, "limit_mm": limit_mm}
-    return TRACKER.no_reading("HC-T15", "measure", found, expected=expected, act=act, **figures)
+    expected, fields = f"<= {limit_mm:.4f} mm", {**figures, "limit_mm": limit_mm}
+    return NoReading("HC-T15", TRACKER.name, "measure", found, expected=expected, fields=fields)
 
 
 def repeats_std(points_mm: Array, limit_mm: float) -> Array:
@@ -120,8 +119,7 @@ def repeats_std(points_mm: Array, limit_mm: float) -> Array:
     spread_mm, repeats = float(np.linalg.norm(std_mm)), len(points_mm)
     if not spread_mm <= limit_mm:
         found = f"{repeats} repeats spread by {spread_mm:.4f} mm (1 sigma)"
-        act = "something moves or vibrates"
-        raise scatter_error(found, limit_mm, act, std_mm=spread_mm, repeats=repeats)
+        raise scatter_error(found, limit_mm, std_mm=spread_mm, repeats=repeats)
     # One of many hardly widens the spread of all, yet shifts their mean.
     for number, point_mm in enumerate(points_mm if repeats > 2 else ()):
         others_mm = np.delete(points_mm, number, axis=0)
@@ -132,7 +130,6 @@ def repeats_std(points_mm: Array, limit_mm: float) -> Array:
                 f"repeat {number + 1} of {repeats} is {off_mm:.4f} mm from the others,"
                 f" which spread by {scatter_mm:.4f} mm (1 sigma)",
                 limit_mm,
-                "something moves or vibrates, or a reading was damaged on its way",
                 off_mm=off_mm,
                 scatter_mm=scatter_mm,
                 repeats=repeats,

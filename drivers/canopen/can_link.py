@@ -134,7 +134,6 @@ class CanLink:
                 RAIL.name,
                 "CAN",
                 f"link lost: {self._failure}",
-                act="check the gateway, the cable and the terminators, then resume",
                 fields={"reason": self._failure},
             )
 

@@ -233,8 +233,7 @@ HEALTH: dict[str, tuple[tuple[str | bool, ...], str]] = {
 def refused_motion(error: int) -> DeviceError:
     """Return the error for HC_ERR of a motion."""
     text, code = ERRORS.get(error, ("unknown", "HC-B20"))
-    act = "see the panel, resume"
-    return ROBOT.failed(code, "move", f"HC_ERR {error}: {text}", act=act, error=error)
+    return ROBOT.failed(code, "move", f"HC_ERR {error}: {text}", error=error)
 
 
 def frame_text(values: tuple[float, ...] | list[float]) -> str:

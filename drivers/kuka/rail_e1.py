@@ -136,7 +136,6 @@ class KukaE1Rail:
                 "HC-R37",
                 "hold",
                 "the controller does not hold E1: HC_HELD is FALSE",
-                act="is the program hilcell running? see the panel, then resume",
                 state="not held",
             )
 

@@ -122,10 +122,7 @@ def failed(command: int, status: int) -> DeviceError:
     """Return the error of a command that is refused."""
     known = STATUS.get(status, UNKNOWN)
     error = TRACKER.no_reading if known.recoverable else TRACKER.failed
-    act = "look at the tracker, then resume"
-    if known.alarm == "HC-T11":
-        act = "clear the beam or seat the reflector, then resume"
-    return error(known.alarm, command_name(command), status_text(status), act=act, status=status)
+    return error(known.alarm, command_name(command), status_text(status), status=status)
 
 
 class Status(NamedTuple):
@@ -233,8 +230,7 @@ def check_measured(packet: Packet, kind: type[Single | Multi], operation: str) -
     if isinstance(packet, Failure) or (isinstance(packet, kind) and packet.status != 0):
         raise failed(Command.START_MEASUREMENT, packet.status)
     if packet == StatusChange(Change.NOT_READY):
-        found, act = "the beam broke", "clear the line of sight"
-        raise TRACKER.no_reading("HC-T10", operation, found, act=act)
+        raise TRACKER.no_reading("HC-T10", operation, "the beam broke")
 
 
 @dataclass(frozen=True, slots=True)

@@ -299,11 +299,8 @@ class LeicaEmsconTracker:
         self.settings.verify_setting(Setting.REFLECTOR)
         self.settings.verify()
         if self._results != 1:
-            found = f"{self._results} results came to one start"
-            act, came = "one was late; it is measured again", self._results
-            raise TRACKER.no_reading(
-                "HC-T31", "measure", found, expected="1", act=act, results=came
-            )
+            found, came = f"{self._results} results came to one start", self._results
+            raise TRACKER.no_reading("HC-T31", "measure", found, expected="1", results=came)
 
     def _await_result(self) -> Single:
         limit_s = self._options.reading_s + self.RESULT_S
@@ -313,8 +310,7 @@ class LeicaEmsconTracker:
             if isinstance(packet, Single):
                 return packet
         found = f"acknowledged, but no result came within {limit_s:.1f} s"
-        act = "look at the tracker's state"
-        raise TRACKER.no_reading("HC-T13", "measure", found, act=act, waited_s=limit_s)
+        raise TRACKER.no_reading("HC-T13", "measure", found, waited_s=limit_s)
 
     def _check(self, result: Single, near_mm: Array) -> None:
         if not emscon.possible(*result.xyz, *result.std, result.std_total):
@@ -336,11 +332,9 @@ class LeicaEmsconTracker:
             raise TRACKER.failed("HC-T18", "measure", found, expected="mm", xyz=xyz, unit=unit)
         if not 0.0 <= result.std_total <= self._options.max_std_mm:
             found = f"standard deviation {result.std_total:.4f} mm"
-            act = "something vibrates, or the reflector is dirty"
-            raise scatter_error(found, self._options.max_std_mm, act, std_mm=result.std_total)
+            raise scatter_error(found, self._options.max_std_mm, std_mm=result.std_total)
         if problem := emscon.air_problem(*result.air):
-            act = "check the weather station"
-            raise TRACKER.no_reading("HC-T05", "measure", problem, expected=self.AIR, act=act)
+            raise TRACKER.no_reading("HC-T05", "measure", problem, expected=self.AIR)
 
     def _reading(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         results = [self._single(near_mm) for _ in range(samples)]
@@ -515,7 +509,7 @@ class EmsconStream:
 
     @staticmethod
     def _empty(found: str) -> NoReading:
-        return TRACKER.no_reading("HC-T40", "stream", found, act="look at the tracker's state")
+        return TRACKER.no_reading("HC-T40", "stream", found)
 
     def _stop(self) -> list[Packet]:
         """Stop measuring; return the blocks that came before the tracker's answer."""
@@ -559,11 +553,8 @@ class EmsconStream:
         self._last_s = float(packet.device_s[-1])
         if not bool(np.all(steps_ms > 0)):
             found = f"the samples' times run back by {-float(steps_ms.min()):.3f} ms"
-            expected, act = (
-                "later than the sample before",
-                "the tracker's clock was set; stream again",
-            )
-            raise TRACKER.no_reading("HC-T41", "stream", found, expected=expected, act=act)
+            expected = "later than the sample before"
+            raise TRACKER.no_reading("HC-T41", "stream", found, expected=expected)
         typical_ms = (
             float(np.median(steps_ms)) if len(steps_ms) >= self.ENOUGH else self._separation_ms
         )

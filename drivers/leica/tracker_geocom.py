@@ -92,9 +92,7 @@ class Rpc(IntEnum):
     def failed(self, code: int) -> DeviceError:
         again = self.measures and code not in FAULTS
         error = TRACKER.no_reading if again else TRACKER.failed
-        alarm, _ = CODES.get(code, UNKNOWN)
-        act = ACTS.get(alarm, ACT)
-        return error(alarm, self.label, status_text(code), act=act, status=code)
+        return error(CODES.get(code, UNKNOWN)[0], self.label, status_text(code), status=code)
 
 
 CODES = {  # alarm and text
@@ -153,13 +151,6 @@ CODES = {  # alarm and text
 }
 UNKNOWN = ("HC-T24", "unknown")
 FAULTS = frozenset({2, 3, 5, 12, 18, 22, 25, 27, 778, 779, 790, 1291, *REFUSED_UNREAD, 8707, 8714})
-ACT = "look at the instrument, then resume"
-ACTS = {
-    "HC-T11": "clear the view or seat the reflector, then resume",
-    "HC-T50": "level the instrument and switch its compensator on",
-    "HC-T51": "level and check the instrument, or state tracker.options.accept_uncorrected = true",
-    "HC-T56": "take other reflectors out of the view",
-}
 
 
 class Reply(NamedTuple):
@@ -440,9 +431,7 @@ class LeicaGeocomTracker:
         else:
             found = f"the result {','.join(reply.values)[:80]} has lost characters"
             expected = f"{PLACES} decimal places, or two that agree"
-            raise TRACKER.no_reading(
-                "HC-T14", "measure", clean(found), expected=expected, act="check the line"
-            )
+            raise TRACKER.no_reading("HC-T14", "measure", clean(found), expected=expected)
         if not possible(values):
             raise TRACKER.no_reading(
                 "HC-T14", "measure", f"the result {values} is no position", values=values
@@ -468,7 +457,7 @@ class LeicaGeocomTracker:
         )
         if reply.is_empty:
             raise TRACKER.no_reading(
-                "HC-T13", "measure", "the answer has no values", expected="some", act=ACT
+                "HC-T13", "measure", "the answer has no values", expected="some"
             )
         return reply
 
@@ -518,7 +507,7 @@ class LeicaGeocomTracker:
             raise self._lost("no answer in time", rpc.label)
         self._exchange(Rpc.NULL, (), self.REPLY_S)  # it lives, or the line is lost
         found = f"no answer to {rpc.label} in {limit_s:.1f} s"
-        raise TRACKER.no_reading("HC-T13", "measure", found, act=ACT, waited_s=limit_s)
+        raise TRACKER.no_reading("HC-T13", "measure", found, waited_s=limit_s)
 
     def _send(self, rpc: Rpc, *parameters: float) -> int:
         transaction = 1 + next(self._transactions) % (self.TRANSACTIONS - 1)

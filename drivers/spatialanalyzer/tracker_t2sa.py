@@ -69,12 +69,6 @@ CODES = {
     347: ("HC-T70", "no such instrument in the job"),
 }
 UNKNOWN = ("HC-T24", "not known")
-ACT = "look at SpatialAnalyzer and the tracker, then resume"
-ACTS = {
-    "HC-T11": "clear the view or seat the reflector, then resume",
-    "HC-T70": "start the instrument's interface in SpatialAnalyzer, then resume",
-    "HC-T72": "import the list of points into the group of tracker.options, then resume",
-}
 
 Word = Annotated[str, Meta(max_length=60, pattern=r"^[^;:\x00-\x1f\x7f]*$")]
 
@@ -253,9 +247,9 @@ class T2saTracker:
         )
         if not reply.is_ready:
             alarm = "HC-T21" if reply.accepted else CODES.get(reply.code, UNKNOWN)[0]
-            found, act = f"state {reply.text!r} for {limit_s:.1f} s", ACTS.get(alarm, ACT)
+            found = f"state {reply.text!r} for {limit_s:.1f} s"
             raise TRACKER.failed(
-                alarm, "connect", found, expected=repr(READY[0]), act=act, status=reply.code
+                alarm, "connect", found, expected=repr(READY[0]), status=reply.code
             )
         return reply.text
 
@@ -299,9 +293,8 @@ class T2saTracker:
             state = self._ask(self.LASER).text
         if "LON" not in state:
             code = "HC-T19" if "WARM" in state else "HC-T70"
-            found, act = f"state {state!r}", ACTS.get(code, "let the tracker warm up, then resume")
-            operation = "switch the laser on"
-            raise TRACKER.failed(code, operation, found, expected="LON", act=act, state=state)
+            found, operation = f"state {state!r}", "switch the laser on"
+            raise TRACKER.failed(code, operation, found, expected="LON", state=state)
 
     def _compare(self, points: NamedPoints) -> None:
         """Refuse a job whose points are not those of the list, by some of them."""
@@ -355,7 +348,7 @@ class T2saTracker:
             )
         if self._last_mm is not None and bool(np.all(xyz_mm == self._last_mm)):
             found = f"the result {_shown(xyz_mm)} is the former one to its last digit"
-            raise TRACKER.no_reading("HC-T76", "measure", found, act=ACT, xyz_mm=xyz_mm.tolist())
+            raise TRACKER.no_reading("HC-T76", "measure", found, xyz_mm=xyz_mm.tolist())
         self._last_mm = xyz_mm
         if not float(np.linalg.norm(xyz_mm - named_mm)) > self.NOMINAL_MM:
             found = f"the result {_shown(xyz_mm)} is the named point {name} itself"
@@ -374,8 +367,7 @@ class T2saTracker:
             alarm, _ = CODES.get(reply.code, UNKNOWN)
             again = alarm in ("HC-T11", "HC-T13", "HC-T21") and command.startswith(self.MEASURE)
             error = TRACKER.no_reading if again else TRACKER.failed
-            act, operation = ACTS.get(alarm, ACT), self._label(command)
-            raise error(alarm, operation, reply.found, act=act, status=reply.code)
+            raise error(alarm, self._label(command), reply.found, status=reply.code)
         return reply
 
     def _position(self, command: str, name: str) -> Array:
@@ -399,7 +391,7 @@ class T2saTracker:
         self._confirm(self.HALT, lambda reply: reply.accepted and not reply.is_result)
         self._confirm(self.LASER, lambda reply: reply.is_laser)
         found = f"no answer to {self._label(command)} in {MEASURE_S:.1f} s"
-        raise TRACKER.no_reading("HC-T13", "measure", found, act=ACT, waited_s=MEASURE_S)
+        raise TRACKER.no_reading("HC-T13", "measure", found, waited_s=MEASURE_S)
 
     def _lost(self, found: str, operation: str) -> DeviceError:
         """Return the error after which the replies cannot be trusted; the connection is closed."""

@@ -78,7 +78,6 @@ class UrRtdeRobot:
     STILL_RAD_S = 2e-3  # of a motion that was braked
     PROGRESS_DEG = 0.01
     TOOL_MM, TOOL_RAD = 1e-3, 1e-5
-    STOP_IT = "stop the program at the panel"
 
     class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """Address and expected identity of the controller."""
@@ -211,9 +210,9 @@ class UrRtdeRobot:
             if state.runtime_state == Runtime.STOPPED and at_rest([state]):
                 self._started = False
                 return
-        found, act = f"{state.runtime}, {self.ENDED_S:.0f} s after stop", self.STOP_IT
+        found = f"{state.runtime}, {self.ENDED_S:.0f} s after stop"
         expected = f"{Runtime.STOPPED} (stopped), at rest"
-        raise ROBOT.refused("HC-B25", "connect", found, expected=expected, act=act)
+        raise ROBOT.refused("HC-B25", "connect", found, expected=expected)
 
     def _is_own_script(self, before: UrState) -> bool:
         """Whether a script of ours plays; false for any program that stops by itself.
@@ -227,9 +226,9 @@ class UrRtdeRobot:
                 return True
             if state.runtime_state in (Runtime.STOPPING, Runtime.STOPPED):
                 return False
-        found, act = f"{state.runtime}, and it is no script of hilcell", self.STOP_IT
+        found = f"{state.runtime}, and it is no script of hilcell"
         expected = f"{Runtime.STOPPED} (stopped)"
-        raise ROBOT.refused("HC-B67", "connect", found, expected=expected, act=act)
+        raise ROBOT.refused("HC-B67", "connect", found, expected=expected)
 
     def _start_script(self) -> None:
         """Send the script; return when its state shows that it runs."""
@@ -295,9 +294,9 @@ class UrRtdeRobot:
             if state.acknowledged == number and state.error != 0:
                 self._clock.check()  # the run's own stop brakes by the script as well
                 self._check_health(state)
-                code, words = ERRORS.get(state.error, ("HC-B20", "unknown"))
-                found, act = f"error {state.error} of the script: {words}", "see the panel, resume"
-                raise ROBOT.failed(code, "move", found, act=act, error=state.error)
+                code, text = ERRORS.get(state.error, ("HC-B20", "unknown"))
+                found = f"error {state.error} of the script: {text}"
+                raise ROBOT.failed(code, "move", found, error=state.error)
             self.check_state(state)
         return states[-1].acknowledged == number
 
@@ -355,8 +354,8 @@ class UrRtdeRobot:
                 return [first, *dwell]
             last = link.next()  # several packages may have been in transit
         found = f"the controller's time stands at {last.timestamp_s:.3f} s"
-        expected, act = f"a later time within {self.CLOCK_S:g} s", "restart the controller; resume"
-        raise ROBOT.failed("HC-B26", "read", found, expected=expected, act=act)
+        expected = f"a later time within {self.CLOCK_S:g} s"
+        raise ROBOT.failed("HC-B26", "read", found, expected=expected)
 
     def _reading(self, state: UrState, *, still: bool) -> RobotReading:
         """Return a reading of a dwell's last state; no part of it is older than its time."""

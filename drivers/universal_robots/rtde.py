@@ -505,10 +505,8 @@ class UrLink:
                     numbers = self._outputs.decode(payload)
                     self._states.append(UrState.checked(numbers, self._emptied_s, by_s))
         except ProtocolError as error:
-            expected, act = "a state of the robot", "restart the controller; resume"
-            self._failure = ROBOT.failed(
-                "HC-B26", "receive", str(error), expected=expected, act=act
-            )
+            expected = "a state of the robot"
+            self._failure = ROBOT.failed("HC-B26", "receive", str(error), expected=expected)
         except DeviceError as error:
             self._failure = error
 
