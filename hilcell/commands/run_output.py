@@ -171,7 +171,7 @@ class ProgressOutput(RunOutput):
                 self._progress.update(self._task, description=harmless(f"{port} {promise}"))
                 if verdict == "broken":
                     self._print(f"{port} {promise}: broken: {why}")
-            case CurveMeasured(holds=False, words=words):
+            case CurveMeasured(holds=False, summary=words):
                 self._print(words)
             case NoReadingOf(key=key, reason=reason, tries=tries):
                 self._print(f"{key}: {reason} (try {tries})")

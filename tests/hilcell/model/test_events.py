@@ -52,8 +52,8 @@ def test_an_event_of_a_plug_in_keeps_its_fields_and_says_what_it_is_about() -> N
             TrackerMoved(set_up=1, invalid=["a"], moved_mm=0.3),
             "tracker moved by 0.300 mm: 1 point is measured again",
         ),
-        (Closed(problems={"Rail": "x"}), "devices closed, but look at Rail: not seen at rest"),
-        (Closed(problems={"Tracker": "x"}), "devices closed, but look at Tracker"),
+        (Closed(problems={"Rail": "x"}), "devices closed, but check Rail: not seen at rest"),
+        (Closed(problems={"Tracker": "x"}), "devices closed, but check Tracker"),
     ],
 )
 def test_an_event_is_said_in_words(event: msgspec.Struct, text: str) -> None:

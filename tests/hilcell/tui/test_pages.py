@@ -374,7 +374,7 @@ RECORD_TEXTS: list[tuple[str, Fact, str]] = [
     (
         "",
         events.SafeStopSent(problems={"Tracker": "gone"}),
-        "a stop was sent to all devices, but look at Tracker: gone",
+        "a stop was sent to all devices, but check Tracker: gone",
     ),
     ("", events.Connected(devices=[DRIVE]), "devices connected: drive, serial 1"),
     ("", events.DeviceBack(device="Rail"), "device back: Rail answers again"),
