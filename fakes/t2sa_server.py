@@ -1,12 +1,11 @@
-"""SpatialAnalyzer's bridge T2SA, and a tracker of API's kind behind it, by its lines over TCP.
+"""SpatialAnalyzer's bridge T2SA with an API tracker behind it: text lines over TCP.
 
-Points are known by collection, group and name. For a measurement the tracker turns to a point's
-nominal position, looks for the reflector nearest to that direction, locks on it and measures; the
-nominal point stays what it was. The laser is off at first, and warms up before it is of use.
+Points are identified by collection, group and name. For a measurement the tracker points at a
+point's nominal position, searches the reflector nearest to that direction, locks on and measures;
+the nominal point does not change. The laser is off at first, and needs to warm up.
 
-There is one measurement at a time. While it is under way all else is answered by "busy", on every
-connection; a halt overtakes it and ends it, and the measurement is then answered by an error of its
-own before the halt is.
+There is one measurement at a time; meanwhile every connection gets "busy". A halt aborts it: first
+the measurement is answered with an error, then the halt.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from hilcell.cell.settings import SettingsError
 
 
 class Refusal(Enum):
-    """Codes of refused requests, and their words."""
+    """Codes of refused requests, and their texts."""
 
     REJECTED = 200, "Command rejected."
     BUSY = 201, "Command rejected. SA is busy."
@@ -68,7 +67,7 @@ class T2saDevice:
     POWER_ON = datetime(2026, 1, 5, 8, 0, tzinfo=UTC)
     WARM_UP_S = 20.0
     POINT_S, SEARCH_S, READ_S = 0.3, 0.8, 0.5
-    SEARCH_MM, BEAM_MM = 150.0, 8.0  # beside the aim: with the camera's help, and without
+    SEARCH_MM, BEAM_MM = 150.0, 8.0  # off the aim: with the camera, and without
 
     def __init__(self, site: Site, points: Mapping[str, Array]) -> None:
         """``points`` (3,) are those of the cell file's group, by name."""
@@ -138,17 +137,17 @@ class T2saDevice:
         self._window_mm = self.SEARCH_MM if value == "1" else self.BEAM_MM
         return Answer()
 
-    def _named(self, path: str) -> Array | None:
+    def _point(self, path: str) -> Array | None:
         group, _, name = path.rpartition(";")
         if group != self._group or self._faults.take("tracker.t2sa_renamed") is not None:
             return None
         return self._points.get(name)
 
     def _position(self, path: str) -> Answer:
-        at_mm = self._named(path)
+        at_mm = self._point(path)
         if at_mm is None:
             return refusal(Refusal.NO_POINT)
-        return Answer(self._result(path, self._in_units(at_mm)))
+        return Answer(self._result(path, self._to_units(at_mm)))
 
     def _measure(self, path: str) -> Answer:
         take = self._faults.take
@@ -162,10 +161,10 @@ class T2saDevice:
             return Answer(f"ERR-{int(code)} {words.get(int(code), 'Failed.')}")
         if self._laser() != "LON" or take("tracker.not_warmed_up") is not None:
             return refusal(Refusal.NOT_READY)
-        aim_mm = self._named(path)
+        aim_mm = self._point(path)
         if aim_mm is None:
             return refusal(Refusal.NO_POINT)
-        off_mm, name = self._seen(aim_mm)
+        off_mm, name = self._nearest(aim_mm)
         search_s = self.SEARCH_S * min(off_mm, self._window_mm) / self.SEARCH_MM
 
         def finish() -> Answer:
@@ -173,8 +172,8 @@ class T2saDevice:
 
         return Answer(after_s=self.POINT_S + search_s + self.READ_S, finish=finish)
 
-    def _seen(self, aim_mm: Array) -> tuple[float, str | None]:
-        """Return how far beside the aim a reflector is, at its own range, and its name."""
+    def _nearest(self, aim_mm: Array) -> tuple[float, str | None]:
+        """Return the nearest reflector's distance from the line of sight, and its name."""
         along = aim_mm / np.linalg.norm(aim_mm)
         inside: list[tuple[float, float, Array]] = []
         for at_mm in self._instrument.reflectors().values():
@@ -202,10 +201,10 @@ class T2saDevice:
         if take("tracker.t2sa_nominal") is not None:
             xyz_mm = aim_mm
         text = take("tracker.bad_number")
-        line = self._result(path, self._in_units(xyz_mm), "" if text is None else str(text))
+        line = self._result(path, self._to_units(xyz_mm), "" if text is None else str(text))
         return Answer(line, measured=True)
 
-    def _in_units(self, xyz_mm: Array) -> Array:
+    def _to_units(self, xyz_mm: Array) -> Array:
         inches = self._faults.take("tracker.t2sa_inches") is not None
         mm_per_inch = 25.4
         return xyz_mm / mm_per_inch if inches else xyz_mm
@@ -219,7 +218,7 @@ class T2saDevice:
         return f"ACK-300 Single Point Measurement {path} result {','.join(values)} {date}"
 
 
-def imported(path: Path) -> dict[str, Array]:
+def read_points(path: Path) -> dict[str, Array]:
     """Return the points (3,) of a CSV file by name; raises `SettingsError`."""
     try:
         with path.open(encoding="utf-8", newline="") as file:
@@ -243,10 +242,10 @@ def target_fan(cell: Cell) -> dict[str, Array]:
     count = math.ceil(4.0 * math.pi / pitch_rad**2)
     n = np.arange(count)
     z = 1.0 - (2.0 * n + 1.0) / count
-    turn = n * math.pi * (3.0 - math.sqrt(5.0))
+    azimuth = n * math.pi * (3.0 - math.sqrt(5.0))
     across = np.sqrt(1.0 - z**2)
-    directions = np.column_stack([across * np.cos(turn), across * np.sin(turn), z])
-    tree = KDTree(ways / np.linalg.norm(ways, axis=1)[:, None])
+    directions = np.column_stack([across * np.cos(azimuth), across * np.sin(azimuth), z])
+    tree = KDTree(reachable_mm / np.linalg.norm(reachable_mm, axis=1)[:, None])
     wider_rad = 0.1
     beside, _ = tree.query(directions, distance_upper_bound=wider_rad)
     range_mm = 4000.0
@@ -255,13 +254,13 @@ def target_fan(cell: Cell) -> dict[str, Array]:
 
 
 def write(path: Path, points: dict[str, Array]) -> None:
-    """Write the list as a person would name it in the cell file."""
+    """Write the list for the cell file."""
     with path.open("w", encoding="ascii", newline="") as file:
         csv.writer(file).writerows([name, *map(str, at_mm)] for name, at_mm in points.items())
 
 
 def _reachable_mm(cell: Cell) -> Array:
-    """Return places (N, 3), tracker's frame, throughout the arm's reach, and the nests."""
+    """Return positions (N, 3), tracker's frame, throughout the arm's reach, and the nests."""
     rail, layout = cell.rail, cell.layout
     nests_mm = np.array([nest.xyz_mm for nest in layout.fixed_nests])
     reach_mm = sum(math.hypot(joint.a_mm, joint.d_mm) for joint in cell.robot.joint)
@@ -288,17 +287,17 @@ class T2saServer(Server):
     HALT = b"!HALT"
 
     def __init__(self, site: Site, port: int = 0) -> None:
-        """The points are those of the cell file's list; without one it names a list of its own."""
+        """The points are those of the cell file's list, else of a list of its own."""
         listed = str(site.cell.tracker.options.get("points", ""))
         address: dict[str, str] = {}
-        points = imported(Path(listed)) if listed else target_fan(site.cell)
+        points = read_points(Path(listed)) if listed else target_fan(site.cell)
         self._folder = tempfile.TemporaryDirectory(prefix="t2sa-")
         if not listed:
             address = {"points": str(Path(self._folder.name) / "points.csv")}
             write(Path(address["points"]), points)
         self._device = T2saDevice(site, points)
         self._faults, self._time = site.faults, site.time
-        self._turn = threading.Lock()
+        self._requests = threading.Lock()
         self._measuring, self._halted = threading.Lock(), threading.Event()
         listener = Listener("t2sa", self._serve_client, port=port)
         super().__init__({"host": HOST, "port": listener.port, **address}, listener)
@@ -328,7 +327,7 @@ class T2saServer(Server):
 
     def _begin(self, line: bytes) -> Answer:
         """Return the first answer to a line; a measurement reserves the bridge."""
-        with self._turn:
+        with self._requests:
             if self._measuring.locked():
                 return refusal(Refusal.BUSY)
             answer = self._device.handle(line.decode("ascii", "replace"))
@@ -352,11 +351,11 @@ class T2saServer(Server):
 
     def _let_pass(self, session: LineSession, duration_s: float) -> bool:
         """Let cell time pass until a halt; return whether that came from this client."""
-        look_s = 0.02
+        poll_s = 0.02
         for left_s in self._time.passing(duration_s):
             if self._halted.is_set():
                 return False
-            line = session.line(min(left_s, look_s))
+            line = session.line(min(left_s, poll_s))
             if line == self.HALT:
                 self._halted.set()
                 return True
@@ -365,7 +364,7 @@ class T2saServer(Server):
         return False
 
     def _reply(self, session: LineSession, answer: Answer) -> None:
-        """Send a reply as the faults want it on the wire."""
+        """Send a reply, with the faults of the wire."""
         reply = answer.line.encode("ascii")
         if not answer.measured:
             session.say_late()

@@ -1,13 +1,11 @@
-"""The simulated cell's time: paced (real time times a speed) or stepped (as fast as it goes).
+"""The simulated cell's time: paced (real time times a speed) or stepped (as fast as possible).
 
-In stepped time nothing passes by itself. Time advances by the waits that the engine asks for on the
-control channel, and by the polls of a moving device: each poll lets a third of the motion pass,
-never beyond its end. So a whole run takes the same simulated time on any machine. While somebody
-follows a motion (a tracker that streams), a poll lets only the time of an exchange with a
-controller pass, and all that happened meanwhile is handed out before the poll is answered.
+Stepped time advances by the waits of the engine on the control channel, and by the polls of a
+moving device: each advances by a third of the motion, at most to its end. So a run takes the same
+simulated time on any PC. While a motion is followed (by a streaming tracker), a poll advances by the
+time of an exchange with a controller, and the followers work before the poll is answered.
 
-Heartbeats, watchdogs and timers of a controller run in real time, whatever the cell's pace: a PC
-that lives speaks in real time.
+Heartbeats, watchdogs and timers of a controller run in real time at any pace, as the PC's do.
 """
 
 from __future__ import annotations
@@ -22,22 +20,20 @@ PAUSE_S = 0.1
 
 
 class CountedTime:
-    """The PC's time in a cell that waits for its PC: a count, so that no PC is ever late."""
+    """The PC's time in a stepped cell: a count of readings, so that no PC is ever late."""
 
     def __init__(self) -> None:
         self._looks = count()
 
     def now_s(self) -> float:
-        """Return a time behind all earlier ones."""
+        """Return a time after all earlier ones."""
         tick_s = 1e-6
         return next(self._looks) * tick_s
 
 
 class DeviceTime:
-    """Real seconds, of which a pause of this PC counts as `PAUSE_S` at most.
-
-    Heartbeats and watchdogs of simulated devices run in it: their PC shares a processor with the
-    one that they watch.
+    """Real seconds for heartbeats and watchdogs of simulated devices; a pause of the process counts
+    as `PAUSE_S` at most, for the devices share the PC that they monitor.
     """
 
     def __init__(self) -> None:
@@ -45,7 +41,7 @@ class DeviceTime:
         self._passed_s, self._looked_s = 0.0, time.monotonic()
 
     def now_s(self) -> float:
-        """Return the time; to be called at least every `PAUSE_S`."""
+        """Return the time; call at least every `PAUSE_S`."""
         with self._lock:
             now_s = time.monotonic()
             self._passed_s += min(now_s - self._looked_s, PAUSE_S)
@@ -73,20 +69,20 @@ class CellTime:
         return (time.monotonic() - self._start_s) * self.speed
 
     def advance(self, duration_s: float) -> None:
-        """Let ``duration_s`` pass at once, in stepped time; paced time passes by itself."""
+        """Advance stepped time; paced time passes by itself."""
         if self.stepped:
             with self._lock:
                 self._stepped_s += duration_s
 
     def passing(self, duration_s: float) -> Iterator[float]:
-        """Let ``duration_s`` pass; in paced time yield the real seconds left, until it has."""
+        """Let ``duration_s`` pass; in paced time yield the remaining real seconds until then."""
         self.advance(duration_s)
         ends_s = -math.inf if self.stepped else time.monotonic() + duration_s / self.speed
         while (left_s := ends_s - time.monotonic()) > 0:
             yield left_s
 
     def poll(self, start_s: float, end_s: float) -> float:
-        """Return now, after a poll of something that moves from ``start_s`` to ``end_s``."""
+        """Return the time after a poll of a motion from ``start_s`` to ``end_s``."""
         if self.stepped:
             with self._lock:
                 step_s = self.EXCHANGE_S if self._followers else (end_s - start_s) / 3.0
@@ -94,18 +90,18 @@ class CellTime:
         return self.now_s()
 
     def spend(self, duration_s: float) -> None:
-        """Let the rest of a slow exchange pass, while somebody follows a motion."""
+        """Advance by the rest of a slow exchange, while a motion is followed."""
         if self._followers:
             self.advance(duration_s)
 
     def follow(self, follower: Callable[[], None]) -> None:
-        """Have ``follower`` called by `catch_up` from now on."""
+        """Let `catch_up` call ``follower`` from now on."""
         with self._lock:
             self._followers = (*self._followers, follower)
 
     @property
     def followed(self) -> bool:
-        """Whether somebody follows a motion in stepped time."""
+        """Whether a motion is followed in stepped time."""
         return self.stepped and bool(self._followers)
 
     def unfollow(self, follower: Callable[[], None]) -> None:
@@ -113,16 +109,16 @@ class CellTime:
             self._followers = tuple(each for each in self._followers if each != follower)
 
     def catch_up(self) -> None:
-        """Have all followers do due work; to be called with no lock held, before an answer."""
+        """Call all followers, before an answer is sent and without a lock."""
         if self.stepped:
             for follower in self._followers:
                 follower()
 
 
 class WatchdogTimer:
-    """$TIMER[10] of a controller: it counts milliseconds, and reaches zero or is set back.
+    """$TIMER[10] of a controller: counts milliseconds up to zero unless it is reset.
 
-    Calls ``act``, in a thread that lives while the timer runs, when it has reached zero.
+    Calls ``act`` at zero, in a thread that lives while the timer runs.
     """
 
     def __init__(self, act: Callable[[], None]) -> None:
@@ -133,7 +129,7 @@ class WatchdogTimer:
         self._running = self._watched = False
 
     def start(self, value_ms: int) -> None:
-        """Run from a value, which is below zero."""
+        """Start at a value below zero."""
         with self._changed:
             self._zero_s, self._running = self._time.now_s() - value_ms / 1000.0, True
             if not self._watched:
@@ -142,7 +138,7 @@ class WatchdogTimer:
             self._changed.notify()
 
     def set_ms(self, value_ms: int) -> None:
-        """Set the value; whether the timer runs does not change."""
+        """Set the value of a running or stopped timer."""
         with self._changed:
             self._zero_s = self._time.now_s() - value_ms / 1000.0
 
@@ -164,7 +160,7 @@ class WatchdogTimer:
                 self._running &= self._time.now_s() < self._zero_s  # it acts once
 
     def _await_zero(self) -> bool:
-        """Wait until the timer has reached zero, or runs no longer; return whether it runs."""
+        """Wait until the timer reaches zero or stops; return whether it runs."""
         with self._changed:
             while self._running and (left_s := self._zero_s - self._time.now_s()) > 0:
                 self._changed.wait(min(left_s, PAUSE_S))

@@ -1,10 +1,9 @@
 """The rail of the simulated cell on its bus: gateway, drive and strip sensor, in one thread.
 
-Drive and sensor stay as they are when a client leaves; only the gateway's channel is new for the
-next one, and heartbeats that a fault has silenced are heard again. Heartbeats and wire deadlines
-run in real time, the slide in cell time: a SYNC or an SDO read looks at the slide once, before the
-nodes answer it. In stepped time nobody looks at a slide whose master has died, so a drive that
-brakes by itself is looked at until it stands.
+Drive and sensor keep their state when a client leaves; the next one gets a new channel, and
+heartbeats that a fault suppressed. Heartbeats and wire deadlines run in real time, the slide in
+cell time: a SYNC or an SDO read polls the slide once, before the nodes answer. In stepped time a
+dead master does not poll, so a drive that brakes by itself is polled until it is at rest.
 """
 
 from __future__ import annotations
@@ -127,12 +126,12 @@ class Status(IntEnum):
 
 
 class RailDrive(CanopenSlave):
-    """Node 5, CiA 402: moves the simulated rail as its objects say, by profile or homing.
+    """Node 5, CiA 402: moves the simulated rail in the modes profile position and homing.
 
-    1000 counts/mm; speeds in counts/s, accelerations in counts/s^2. The brake is closed whenever
-    the drive is not in OPERATION ENABLED and has come to rest; while it is open, the servo dithers
-    by a few counts and its speed is almost never 0. Bit 12 of the statusword says "set-point
-    acknowledged" in mode 1 and "homing attained" in mode 6.
+    1000 counts/mm; speeds in counts/s, accelerations in counts/s^2. The brake is closed at rest
+    except in OPERATION ENABLED; while it is open, the servo dithers by a few counts and its speed is
+    almost never 0. Bit 12 of the statusword is "set-point acknowledged" in mode 1 and "homing
+    attained" in mode 6.
     """
 
     NEGATIVE_LIMIT_SWITCH = 17  # homing method
@@ -153,17 +152,17 @@ class RailDrive(CanopenSlave):
         self._rail, self._faults = rail, faults
         self._slide = rail.poll()
         self._dither = Dither(self.DITHER_COUNTS, NODE)
-        self._forget()
+        self._reset_state()
         self._add_objects(table)
         self._add_pdos()
         self._rail.brake(closed=True)
 
-    def _forget(self) -> None:
-        """Put the drive to where it stands after power-on (transitions 0 and 1)."""
+    def _reset_state(self) -> None:
+        """Reset the drive to its state after power-on (transitions 0 and 1)."""
         self.state = State.SWITCH_ON_DISABLED
-        self._word = 0
+        self._controlword = 0
         self._commanded = False
-        self._busy = False  # a motion was started and has not been seen to end
+        self._busy = False  # a motion was started, and no poll has seen its end
         self._target = 0
         self._direction = 0
         self._pending: int | None = None
@@ -181,7 +180,6 @@ class RailDrive(CanopenSlave):
 
     @property
     def moving(self) -> bool:
-        """Whether a motion was started and has not been seen to end."""
         return self._busy
 
     @property
@@ -190,11 +188,11 @@ class RailDrive(CanopenSlave):
         return self._busy and self.state in (State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
 
     def dither(self) -> None:
-        """Let the servo hunt on; once a SYNC."""
+        """Advance the servo's dither by a step; once a SYNC."""
         self._dither.step()
 
     def observe(self, slide: RailState) -> None:
-        """Take the slide's state of now; end motions, trip limits."""
+        """Process the slide's state: end motions, trip limits."""
         self._slide = slide
         if not self._busy:
             return
@@ -232,7 +230,7 @@ class RailDrive(CanopenSlave):
     def fail(self, code: int) -> None:
         """Go through FAULT REACTION ACTIVE to FAULT with EMCY ``code`` (transitions 13, 14).
 
-        The first fault counts: a drive already in fault stays as it is.
+        Ignored in fault: the first fault counts.
         """
         if self.state in {State.FAULT_REACTION_ACTIVE, State.FAULT}:
             return
@@ -246,7 +244,7 @@ class RailDrive(CanopenSlave):
         option = self.dictionary.number(0x605E)
         rolling_mm_s2 = 30.0  # of a slide without power or brake
         if option == 0:
-            self.state = State.FAULT  # without power the slide rolls on
+            self.state = State.FAULT  # without power the slide continues to roll
             self._rail.quick_stop(rolling_mm_s2)
         else:
             self._brake_down(self.dictionary.number(0x6084 if option == 1 else 0x6085))
@@ -290,38 +288,38 @@ class RailDrive(CanopenSlave):
                 pass
 
     def switched_off(self) -> None:
-        """Close the brake and stand in SWITCH ON DISABLED; the reference is lost."""
+        """Close the brake and enter SWITCH ON DISABLED; the reference is lost."""
         self._rail.brake(closed=True)
-        self._forget()
+        self._reset_state()
 
     def written(self) -> None:
-        """Obey a controlword once all objects of its frame are in place."""
+        """Execute a controlword after all objects of its frame."""
         if not self._commanded:
             return
         self._commanded = False
-        before, self._word = self._word, self.dictionary.number(0x6040)
-        rising = self._word & ~before
+        before, self._controlword = self._controlword, self.dictionary.number(0x6040)
+        rising = self._controlword & ~before
         if rising & Control.FAULT_RESET:
             self._clear_fault()
         if self.state is not State.FAULT:
-            self._walk(Command.of(self._word))
+            self._transition(Command.of(self._controlword))
         elif rising & Control.FAULT_RESET:
-            self._walk(Command.FAULT_RESET)
-        if not self._word & Control.NEW_SET_POINT:
+            self._transition(Command.FAULT_RESET)
+        if not self._controlword & Control.NEW_SET_POINT:
             self._acknowledged = False
         if self.state is State.OPERATION_ENABLED:
-            self._operate(rising, before & ~self._word)
+            self._operate(rising, before & ~self._controlword)
 
     # -- the state machine --------------------------------------------------------------------
 
-    def _walk(self, command: Command) -> None:
+    def _transition(self, command: Command) -> None:
         target = TRANSITIONS.get((self.state, command))
         leaves = command is Command.ENABLE_OPERATION and self.state is State.QUICK_STOP_ACTIVE
         if target is None or (leaves and not self._stays_in_quick_stop()):
             return
         self._enter(target)
         if command is Command.ENABLE_OPERATION and target is State.SWITCHED_ON:
-            self._walk(command)
+            self._transition(command)
 
     def _enter(self, state: State) -> None:
         was_enabled = self.state is State.OPERATION_ENABLED
@@ -366,7 +364,7 @@ class RailDrive(CanopenSlave):
             if falling & Control.HALT and self._halted:
                 self._halted = False
                 self._start(self._target)
-            if rising & Control.NEW_SET_POINT and not self._word & Control.HALT:
+            if rising & Control.NEW_SET_POINT and not self._controlword & Control.HALT:
                 self._take_set_point()
         elif self._mode == Mode.HOMING and rising & Control.NEW_SET_POINT:
             self._start_homing()
@@ -375,14 +373,14 @@ class RailDrive(CanopenSlave):
         if self._faults.take("rail.no_acknowledge") is not None:
             return
         wanted = self.dictionary.number(0x607A)
-        wanted += self._target if self._word & Control.RELATIVE else 0
+        wanted += self._target if self._controlword & Control.RELATIVE else 0
         low, high = (self.dictionary.number(0x607D, sub) for sub in (1, 2))
         target = min(max(wanted, low), high) if self._homed else wanted
         self._limited = target != wanted
         self._acknowledged = True
         self._early = self._faults.take("rail.early_target_reached") is not None
         self._overspeed = self._faults.number("rail.overspeed") or 1.0
-        if self._busy and not self._word & Control.AT_ONCE:
+        if self._busy and not self._controlword & Control.AT_ONCE:
             self._pending = target
         else:
             self._start(target)
@@ -390,7 +388,7 @@ class RailDrive(CanopenSlave):
     def _start(self, target: int) -> None:
         number = self.dictionary.number
         self._target, self._reached, self._busy = target, False, True
-        gap = target - self._position()  # of the counter, which may have wrapped
+        gap = target - self._position()  # in counts, which wrap
         self._direction = (gap > 0) - (gap < 0)
         speed = self._overspeed * min(number(0x6081), number(0x607F))
         # The simulated trapezoid is symmetric; the gentler ramp applies at both ends.
@@ -447,7 +445,7 @@ class RailDrive(CanopenSlave):
     def _shown_mode(self) -> int:
         return self._faults.instead("rail.wrong_mode", self._mode)
 
-    def _note_command(self, _word: int) -> None:
+    def _note_command(self, _controlword: int) -> None:
         self._commanded = True
 
     def _add_objects(self, table: RailTable) -> None:
@@ -526,7 +524,7 @@ class RailServer(BusServer):
         return min(super()._wait_s(), max(0.0, late_s - self.now_s()), longest_s)
 
     def _needs_poll(self) -> bool:
-        """Whether the slide must be looked at although no client asks."""
+        """Whether the slide must be polled without a request."""
         if self._drive.stopping or (self._slide_moves and not self._drive.moving):
             return True
         cyclic = any(node.cyclic() for node in self._nodes.values())
@@ -534,13 +532,13 @@ class RailServer(BusServer):
 
     def _tick(self, now_s: float) -> None:
         if self._needs_poll():
-            self._look(now_s)
+            self._poll_slide(now_s)
         super()._tick(now_s)
         for late in [late for late in self._late if late[0] <= now_s]:
             self._late.remove(late)
             self._gateway.send(late[1], late[2])
 
-    def _look(self, now_s: float) -> None:
+    def _poll_slide(self, now_s: float) -> None:
         slide = self._rail.poll()
         self._slide_moves = slide.moving
         self._apply_faults(now_s, slide.moving)
@@ -561,11 +559,11 @@ class RailServer(BusServer):
             if self._strip is not None:
                 self._strip.apply_faults()
             self._drive.dither()
-            self._look(self.now_s())
+            self._poll_slide(self.now_s())
         elif cob_id in sdo_requests:
             if data[:1] == sdo_read:
-                self._look(self.now_s())
-            if self._spoilt(cob_id, data):
+                self._poll_slide(self.now_s())
+            if self._fault_reply(cob_id, data):
                 return
         super()._receive(cob_id, data)
         self._delay_s = 0.0
@@ -583,12 +581,12 @@ class RailServer(BusServer):
             self._gateway.send(cob_id, data)
 
     def _number(self, fault: str, usual: int, *, moving: bool = True) -> int | None:
-        """Return the value of a fault that strikes; ``usual`` where its own says no more."""
+        """Return the value of a fault that strikes, ``usual`` by default."""
         value = self._faults.take(fault, moving=moving)
         return None if value is None else usual if value is True else int(value)
 
-    def _spoilt(self, cob_id: int, data: bytes) -> bool:
-        """Whether an SDO request is answered otherwise than by its node."""
+    def _fault_reply(self, cob_id: int, data: bytes) -> bool:
+        """Whether a fault replaces the node's reply to an SDO request."""
         if self._faults.take("rail.sdo_timeout") is not None:
             return True
         code = self._number("rail.sdo_abort", Abort.DEVICE_STATE)
@@ -600,7 +598,7 @@ class RailServer(BusServer):
         return False
 
     def _apply_faults(self, now_s: float, moving: bool) -> None:
-        """Let the faults of a moving slide happen, or those that are set to strike at rest."""
+        """Apply the faults of a moving slide, and those that are set to strike at rest."""
         take = partial(self._number, moving=moving)
         if (code := take("rail.emcy", 0x7305)) is not None:
             self._drive.emergency(code, 0)

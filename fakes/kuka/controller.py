@@ -1,10 +1,9 @@
 """The robot controller: system variables and the resident program hilcell.src, as KRL text.
 
 Values are as KRL writes them: ``{E6AXIS: A1 0.00000, A2 -90.00000}``, ``#EX``, ``TRUE``, ``100``.
-Nobody may read more here than a controller knows: joints and poses are its own nominal ones.
-The program waits for ``HC_SEQ <> HC_ACK``, moves, then sets HC_ERR and HC_ACK. HC_STOP brakes and
-keeps the program in its interrupt until it is FALSE again. So does the timer that runs while a
-motion is under way, unless it is set back before it reaches zero.
+Joints and poses are the controller's nominal ones, never the truth. The program waits for ``HC_SEQ
+<> HC_ACK``, moves, then sets HC_ERR and HC_ACK. HC_STOP brakes and keeps the program in its
+interrupt until it is FALSE again. So does the watchdog timer of a motion if it reaches zero.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ _NUMBER = re.compile(r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
 
 
 class KrlError(ValueError):
-    """A text that KRL would not take."""
+    """A text that KRL refuses."""
 
 
 def members(values: Mapping[str, float | int]) -> str:
@@ -83,7 +82,7 @@ class ExternalAxis:
 
     def inside(self, target_mm: float) -> bool:
         """Whether a target lies within the software limits."""
-        limit_mm = 0.5  # they lie so far outside the travel
+        limit_mm = 0.5  # outside the travel
         lowest_mm, highest_mm = self._table.travel_min_mm, self._table.travel_max_mm
         return lowest_mm - limit_mm <= target_mm <= highest_mm + limit_mm
 
@@ -96,7 +95,7 @@ class ExternalAxis:
         self.override(override)
 
     def override(self, share: float) -> None:
-        """Change the speed of a motion under way; 0 makes it stand."""
+        """Change the speed of a motion in progress; 0 stops it."""
         if not self.moving:
             return
         if share > 0:
@@ -106,14 +105,14 @@ class ExternalAxis:
             self._rail.quick_stop(self.STOP_MM_S2)
 
     def stop(self) -> None:
-        """Brake, and forget the target; the slide is held from now on."""
+        """Brake, discard the target, and hold the slide."""
         self.held = True
         if self.moving:
             self._rail.quick_stop(self.STOP_MM_S2)
             self.moving = False
 
     def poll(self, share: float) -> RailState:
-        """Look at the slide; ``share`` is the override, of which 0 lets no motion end."""
+        """Return the slide's state; ``share`` is the override, at 0 no motion ends."""
         state = self._rail.poll()
         if not state.moving:
             self.moving = self.moving and not share > 0
@@ -122,11 +121,11 @@ class ExternalAxis:
 
     @property
     def axes_moving(self) -> bool:
-        """Whether the slide moves, without letting time pass."""
+        """Whether the slide moves; no time passes."""
         return not self._rail.at_rest
 
-    def place_mm(self, state: RailState, *, alone: bool) -> float:
-        """Return the reading; at rest it dithers, by a step each time E1 is asked for ``alone``."""
+    def reading_mm(self, state: RailState, *, alone: bool) -> float:
+        """Return the reading; at rest it dithers, by a step each time E1 is read ``alone``."""
         if alone:
             self._dither.step()
         return state.encoder_mm + (0.0 if state.moving else self.DITHER_MM * self._dither.counts)
@@ -146,9 +145,8 @@ class Error(IntEnum):
 
 
 class KrlController:
-    """One robot's controller; ``read`` and ``write`` may come from several threads.
-
-    The slide of a cell whose rail is the robot's axis E1 is the controller's, too.
+    """One robot's controller, with the slide if that is its axis E1; safe to use from several
+    threads.
     """
 
     PTP, SLIDE = 1, 2  # values of HC_CMD
@@ -162,7 +160,7 @@ class KrlController:
         self._slide: ExternalAxis | None = None
         if cell.rail.driver == RAIL_DRIVER and isinstance(truth.rail, RailTruth):
             self._slide = ExternalAxis(truth.rail, faults, cell.rail)
-        self._slide_mm = 0.0  # the place at which it is held
+        self._slide_mm = 0.0  # where it is held
         self._arm = controller_arm(cell)
         self._low_deg = np.array([joint.min_deg for joint in cell.robot.joint])
         self._high_deg = np.array([joint.max_deg for joint in cell.robot.joint])
@@ -173,15 +171,15 @@ class KrlController:
         self._timer = WatchdogTimer(self._watchdog_expired)
         self._override, self._share = 100, 1.0
         self._stale: dict[str, str] = {}
-        self._pose, self._turns = np.zeros(6), {"S": 0, "T": 0}
-        self._pose_of: Array | None = None
-        self._looks = 0
-        self._moment: RobotState | None = None  # that several variables are read of
+        self._pose, self._status_and_turn = np.zeros(6), {"S": 0, "T": 0}
+        self._pose_joints: Array | None = None
+        self._polls = 0
+        self._snapshot: RobotState | None = None  # that several variables are read of
         self._readers = self._all_readers()
         self.restore()
 
     def restore(self) -> None:
-        """The operator puts everything right and starts the program again."""
+        """Clear all faults and restart the program, as an operator does."""
         with self._lock:
             self._mode, self._program = "#EX", "#P_ACTIVE"
             self._emergency, self._message = False, False
@@ -189,12 +187,12 @@ class KrlController:
             self._running: int | None = None
             self._hold_slide()
             self._timer.stop()
-            self._keeps_acknowledge = self._frozen = False
+            self._acknowledge_lost = self._frozen = False
             self._acknowledged, self._error = self._integers["HC_SEQ"], int(Error.OK)
             self._set_override(100)
 
     def read(self, name: str) -> str:
-        """Return a variable's text; raises `KrlError` for one that the controller has not."""
+        """Return a variable's text; raises `KrlError` for an unknown one."""
         with self._lock:
             reader = self._readers.get(name.strip().upper())
             if reader is None:
@@ -204,17 +202,17 @@ class KrlController:
             return reader()
 
     def read_all(self, names: Sequence[str]) -> list[str]:
-        """Return variables of one moment, as a program on the controller reads them."""
+        """Return variables of one instant, as a program on the controller reads them."""
         with self._lock:
             self._apply_request_faults()
-            self._moment = self._poll()
+            self._snapshot = self._poll()
             try:
                 return [self._readers[name]() for name in names]
             finally:
-                self._moment = None
+                self._snapshot = None
 
     def write(self, name: str, text: str) -> None:
-        """Set a variable from its text; raises `ValueError` where KRL would refuse."""
+        """Set a variable from its text; raises `ValueError` as KRL refuses it."""
         name = name.strip().upper()
         with self._lock:
             self._apply_request_faults()
@@ -259,11 +257,11 @@ class KrlController:
             "$TRAFONAME[]": self._identity,
             "$KR_SERIALNO": lambda: str(self._arm.serial),
             "$ROBNAME[]": lambda: '"HILCELL"',
-            "$EX_AX_NUM": self._count_slides,
+            "$EX_AX_NUM": self._read_slide_count,
             "$AXIS_JUS[7]": lambda: self._boolean(
                 self._faults.take("robot.slide_unmastered") is None
             ),
-            "$AXIS_ACT.E1": self._place,
+            "$AXIS_ACT.E1": self._read_e1,
             "$AXIS_ACT": lambda: self._position("$AXIS_ACT"),
             "$AXIS_ACT_MEAS": lambda: self._position("$AXIS_ACT_MEAS"),
             "$POS_ACT": lambda: self._position("$POS_ACT"),
@@ -287,8 +285,8 @@ class KrlController:
         return '"#KR6R900"' if other is True else f'"{other}"'
 
     def _read_acknowledge(self) -> str:
-        if self._moment is None:
-            self._looks = 0
+        if self._snapshot is None:
+            self._polls = 0
         self._poll()
         return str(self._acknowledged)
 
@@ -306,48 +304,51 @@ class KrlController:
 
     def _position_text(self, which: str, state: RobotState) -> str:
         off, joints_rad = np.zeros(6), state.joints_rad
-        cycle_s = 0.012  # of the interpolation: measured axes are as old as its last tick
+        cycle_s = 0.012  # interpolation cycle: measured axes are those of its last tick
         if state.moving and which == "$AXIS_ACT_MEAS":
             joints_rad, tick = self._motion.measured(cycle_s)
             off = readout_noise(state.landing_rad.tobytes(), tick, 6)
         elif not state.moving:
-            self._looks += 1
+            self._polls += 1
             landed = state.joints_rad.tobytes() + state.landing_rad.tobytes()
-            off = readout_noise(landed, self._looks, 6)
+            off = readout_noise(landed, self._polls, 6)
         flicker_deg = 1e-4  # of each axis at rest
         if which != "$POS_ACT":
             axes_deg = np.degrees(joints_rad) + flicker_deg * off
             axes = dict(zip(AXES, axes_deg.tolist(), strict=True))
             return aggregate("E6AXIS", axes, self._external())
-        if state.joints_rad is not self._pose_of:  # at rest it is the same array each time
-            self._pose_of, arm = state.joints_rad, self._arm
+        if state.joints_rad is not self._pose_joints:  # the same array at rest
+            self._pose_joints, arm = state.joints_rad, self._arm
             self._pose = components(arm.chain.pose(state.joints_rad))
-            self._turns = {"S": arm.status(state.joints_rad), "T": arm.turn(state.joints_rad)}
+            self._status_and_turn = {
+                "S": arm.status(state.joints_rad),
+                "T": arm.turn(state.joints_rad),
+            }
         pose = (self._pose + self.FLICKER_POSE * off).tolist()
         return aggregate(
-            "E6POS", dict(zip(FRAME, pose, strict=True)) | self._turns, self._external()
+            "E6POS", dict(zip(FRAME, pose, strict=True)) | self._status_and_turn, self._external()
         )
 
     # -- external axis E1 -----------------------------------------------------------------------
 
-    def _count_slides(self) -> str:
+    def _read_slide_count(self) -> str:
         return str(int(self._slide is not None and self._faults.take("robot.no_slide") is None))
 
-    def _place(self) -> str:
+    def _read_e1(self) -> str:
         if self._slide is None:
             raise KrlError("$AXIS_ACT.E1")
         self._poll()
         state = self._slide.poll(self._share)
-        return f"{self._slide.place_mm(state, alone=True):.5f}"
+        return f"{self._slide.reading_mm(state, alone=True):.5f}"
 
     def _external(self) -> str:
         if self._slide is None:
             return self.EXTERNAL
-        place_mm = self._slide.place_mm(self._slide.poll(self._share), alone=False)
-        return members({"E1": place_mm} | {f"E{n}": 0.0 for n in range(2, 7)})
+        reading_mm = self._slide.reading_mm(self._slide.poll(self._share), alone=False)
+        return members({"E1": reading_mm} | {f"E{n}": 0.0 for n in range(2, 7)})
 
     def _hold_slide(self) -> None:
-        """Hold it where it is; one that still brakes, where it comes to rest."""
+        """Hold the slide where it is, or where it comes to rest."""
         if self._slide is not None:
             self._slide.stop()
             self._slide_mm = self._slide.poll(self._share).encoder_mm
@@ -361,7 +362,7 @@ class KrlController:
         softlimit = self._faults.take("robot.softlimit") is not None
         if softlimit or not self._slide.inside(target_mm):
             return Error.OUT_OF_LIMITS
-        self._keeps_acknowledge = self._faults.take("robot.ack_previous") is not None
+        self._acknowledge_lost = self._faults.take("robot.ack_previous") is not None
         self._frozen = self._faults.take("robot.frozen") is not None
         if not self._frozen:
             self._slide.move(target_mm, min(max(self._integers["HC_VEL"], 1), 100), self._share)
@@ -370,13 +371,13 @@ class KrlController:
         return Error.OK
 
     def _slide_error(self) -> int:
-        """Return why the arm must not move, else `OK`."""
+        """Return the error of the slide that forbids a motion of the arm, or `OK`."""
         if self._slide is None:
             return Error.OK
         if not self._slide.held:
             return Error.SLIDE_FREE
         away_mm = abs(self._slide.poll(self._share).encoder_mm - self._slide_mm)
-        slide_mm = 0.05  # it may read so far from where it is held
+        slide_mm = 0.05  # largest deviation of a held slide
         return Error.OK if away_mm <= slide_mm else Error.SLIDE_AWAY
 
     @property
@@ -399,7 +400,7 @@ class KrlController:
                 self._acknowledge()
 
     def _start(self) -> int:
-        self._looks = 0
+        self._polls = 0
         if self._integers["HC_CMD"] == self.SLIDE:
             return self._start_slide()
         if self._integers["HC_CMD"] != self.PTP:
@@ -411,7 +412,7 @@ class KrlController:
         if not inside.all() or self._faults.take("robot.softlimit") is not None:
             return Error.OUT_OF_LIMITS
         motion = apply_start_faults(self._faults, self._truth, target_deg)
-        self._keeps_acknowledge, self._frozen = motion.keeps_acknowledge, motion.frozen
+        self._acknowledge_lost, self._frozen = motion.acknowledge_lost, motion.frozen
         if not self._frozen:
             speed = min(max(self._integers["HC_VEL"], 1), 100) / 100.0
             self._motion.move(np.radians(motion.target_deg), speed)
@@ -419,7 +420,7 @@ class KrlController:
         return Error.OK
 
     def _acknowledge(self) -> None:
-        if self._running is not None and not self._keeps_acknowledge:
+        if self._running is not None and not self._acknowledge_lost:
             self._acknowledged, self._running = self._running, None
             self._timer.stop()
 
@@ -427,7 +428,7 @@ class KrlController:
         if wanted and not self._in_stop:
             self._brake(Error.STOPPED)
         elif not wanted and self._in_stop and not self._slide_in_motion:
-            self._in_stop = self._keeps_acknowledge = self._frozen = False
+            self._in_stop = self._acknowledge_lost = self._frozen = False
             self._hold_slide()
             self._running = None
             self._acknowledged = self._integers["HC_SEQ"]
@@ -438,16 +439,16 @@ class KrlController:
         self._halt(self._program)
 
     def _halt(self, state: str) -> None:
-        """Brake all; the program is then in a state."""
+        """Brake all axes; ``state`` is the program's."""
         self._program = state
         self._motion.brake()
         if self._slide is not None:
             self._slide.stop()
 
     def _watchdog_expired(self) -> None:
-        """Brake a motion of which the PC has not spoken in time; called by the timer's thread."""
+        """Brake a motion without a sign of life in time; called by the timer's thread."""
         with self._lock:
-            self._run_program()  # a motion that has ended meanwhile needs no sign any more
+            self._run_program()  # the motion may have ended meanwhile
             if self._timer.expired and self._running is not None and not self._in_stop:
                 self._brake(Error.LOST)
 
@@ -469,9 +470,9 @@ class KrlController:
             self._halt("#P_FREE")
 
     def _poll(self) -> RobotState:
-        """Let a moving robot get further, strike it if so wanted, and return its state."""
-        if self._moment is not None:
-            return self._moment
+        """Advance a motion, apply its faults, and return the state."""
+        if self._snapshot is not None:
+            return self._snapshot
         self._apply_motion_faults()
         state = self._motion.poll()
         if self._slide is not None:
@@ -480,7 +481,7 @@ class KrlController:
         return state
 
     def _apply_motion_faults(self) -> None:
-        """Let the faults of a moving robot happen, or those that are set to strike at rest."""
+        """Apply the faults of a moving robot, and those that are set to strike at rest."""
         take = partial(self._faults.take, moving=self._motion.axes_moving or self._slide_in_motion)
         if take("robot.vanish") is not None:
             raise Vanished

@@ -1,13 +1,12 @@
-"""EthernetKRL on a KUKA controller, over TCP, and the submit program hilcell_eki.src that uses it.
+"""EthernetKRL on a KUKA controller, over TCP, and its submit program hilcell_eki.src.
 
-The interface takes documents apart: each value that its configuration names goes into a queue of
-its own, so that one that is missing shifts all later ones. The program takes one value of each
-queue, acts by the variables of the robot program hilcell.src, and answers with a state.
+The interface decomposes documents: each configured value has a queue of its own, so a missing one
+shifts all later ones. The program takes one value of each queue, acts on the variables of the robot
+program hilcell.src, and replies with a state.
 
-Each of the two channels serves one client. That of the stop is looked at once in a cycle of the
-submit interpreter, and all that came until then is heard, even where the client has gone. States
-leave as `fakes.wires` says, and now and then the former one comes once more, in one segment with
-the next.
+Each of the two channels serves one client. The stop channel is polled once in a cycle of the submit
+interpreter, and all data are processed, even after the client has gone. States are sent as
+`fakes.wires` describes; occasionally the previous one is repeated in one segment with the next.
 """
 
 from __future__ import annotations
@@ -51,8 +50,8 @@ class Queues:
         self._end = f"</{paths[0].partition('/')[0]}>".encode()
         self._pending = b""
 
-    def look(self, client: socket.socket) -> bool:
-        """Take apart what has come; return whether the client is still there."""
+    def poll(self, client: socket.socket) -> bool:
+        """Process received data; return whether the client is still connected."""
         try:
             while select.select([client], [], [], 0)[0]:
                 data = client.recv(RECEIVE)
@@ -60,17 +59,17 @@ class Queues:
                     return False
                 self.receive(data)
         except (OSError, Overflow, KrlError):
-            return False  # the interface closes the connection, and keeps what came
+            return False  # the interface closes the connection, and keeps the data
         return True
 
     def receive(self, data: bytes) -> None:
-        """Take whole documents apart; raises as `add`."""
+        """Process complete documents; raises as `add`."""
         *documents, self._pending = (self._pending + data).split(self._end)
         for document in documents:
             self.add(document + self._end)
 
     def add(self, document: bytes) -> None:
-        """Take a document apart; raises `Overflow`, or `KrlError` for one that is no XML."""
+        """Queue the values of a document; raises `Overflow`, or `KrlError` for invalid XML."""
         path: list[str] = []
 
         def begin(tag: str, attributes: dict[str, str]) -> None:
@@ -91,11 +90,11 @@ class Queues:
             raise KrlError(str(error)) from error
 
     def waiting(self) -> bool:
-        """Whether a value of the last path is there: the document has come whole."""
+        """Whether the last path has a value: the document is complete."""
         return bool(next(reversed(self._queues.values())))
 
     def take(self) -> dict[str, str]:
-        """Return one value of each queue by its name, without those whose queue is empty."""
+        """Return one value of each queue that is not empty, by name."""
         queues = self._queues.items()
         return {path.rpartition("@")[2]: queue.popleft() for path, queue in queues if queue}
 
@@ -124,15 +123,15 @@ class EkiProgram:
         self._controller, self._faults, self._time = controller, faults, time
 
     def command(self, values: dict[str, str]) -> bytes:
-        """Act by a command; return the state. Raises `KrlError` for one that is not whole."""
+        """Execute a command; return the state. Raises `KrlError` for an incomplete one."""
         if len(values) < len(RECEIVED):
             raise KrlError(f"{len(values)} of {len(RECEIVED)} values")
         acts: dict[str, Callable[[dict[str, str]], None]] = {
             "1": lambda _: self._start("1", {axis: float(values[axis]) for axis in AXES}, values),
             "2": lambda _: self._controller.write("HC_STOP", "TRUE"),
             "3": lambda _: self._controller.write("HC_STOP", "FALSE"),
-            "4": self._lower,
-            "5": self._give_back,
+            "4": self._lower_override,
+            "5": self._restore_override,
             "6": lambda _: self._controller.write("HC_HELD", "TRUE"),
             "7": lambda _: self._controller.write("HC_HELD", "FALSE"),
             "8": lambda _: self._start("2", {"E1": float(values["E1"])}, values),
@@ -143,17 +142,17 @@ class EkiProgram:
             acts[values["Type"]](values)
         wrong = int(self._faults.take("robot.tag_mismatch") is not None)
         state = self._state(int(values["Id"]) + wrong)
-        document_s = 0.016  # to make and send a state, after its variables were read
+        document_s = 0.016  # from reading the variables of a state to sending it
         self._time.spend(document_s)
         return state
 
     def stop(self, values: dict[str, str]) -> bytes:
-        """Act by a command of the stop's channel; return the answer."""
-        if values.get("Brake") != "0":  # only this text does not brake
+        """Execute a command of the stop channel; return the reply."""
+        if values.get("Brake") != "0":  # any other text brakes
             self._controller.write("HC_STOP", "TRUE")
         return _document("RobotStopState", {"Command": {"Id": values.get("Id", "0")}})
 
-    def lose(self) -> None:
+    def client_lost(self) -> None:
         """Brake a motion whose client has gone."""
         started, ended = self._controller.read_all(("HC_SEQ", "HC_ACK"))
         if started != ended:
@@ -169,13 +168,13 @@ class EkiProgram:
         ):
             self._controller.write(name, text)
 
-    def _lower(self, values: dict[str, str]) -> None:
+    def _lower_override(self, values: dict[str, str]) -> None:
         before = self._controller.read("$OV_PRO")
         self._controller.write("HC_OV_SET", values["Percent"])
         self._controller.write("HC_OV_OLD", before)
         self._controller.write("$OV_PRO", values["Percent"])
 
-    def _give_back(self, _values: dict[str, str]) -> None:
+    def _restore_override(self, _values: dict[str, str]) -> None:
         before = self._controller.read("HC_OV_OLD")
         if before != "0":
             if self._controller.read("$OV_PRO") == self._controller.read("HC_OV_SET"):
@@ -247,7 +246,7 @@ class EkiServer(Server):
             self._receive_commands(client)
         with self._lock:
             if not self._closing.is_set():
-                self._program.lose()
+                self._program.client_lost()
 
     def _receive_commands(self, client: socket.socket) -> None:
         segments, former = Segments(client.sendall), b""
@@ -258,7 +257,7 @@ class EkiServer(Server):
                 with self._lock:
                     state = self._program.command(queues.take())
                     self._time.catch_up()
-                    sent, former = self._spoilt(former, state, segments), state
+                    sent, former = self._with_faults(former, state, segments), state
                     if not self._answers.send(client, segments, sent):
                         return
 
@@ -269,7 +268,7 @@ class EkiServer(Server):
             while there:
                 select.select([client], [], [])
                 self._closing.wait(cycle_s)
-                there = queues.look(client)
+                there = queues.poll(client)
                 self._receive_stops(client, queues, there)
 
     def _receive_stops(self, client: socket.socket, queues: Queues, there: bool) -> None:
@@ -277,14 +276,14 @@ class EkiServer(Server):
             with self._lock:
                 answer = self._program.stop(queues.take())
             if there:
-                with suppress(OSError):  # the next look finds that it has gone
+                with suppress(OSError):  # the next poll finds that it has gone
                     client.sendall(answer)
 
     def _hang_up(self) -> None:
         for each in (self._commands, self._stops):
             each.hang_up()
 
-    def _spoilt(self, former: bytes, state: bytes, segments: Segments) -> bytes:
+    def _with_faults(self, former: bytes, state: bytes, segments: Segments) -> bytes:
         if self._faults.take("robot.xml_bomb") is not None:
             return BOMB
         endless = b'<RobotState><Pos A1="' + b"0" * 20_000
@@ -304,7 +303,10 @@ _ASKED = re.compile(rb'(<(?:RobotCommand|RobotStop|Command)\s+Id=")(-?\d+)(")')
 
 
 class Eki(Dialect):
-    """Commands with an Id, and states that repeat it; that of a motion is above 0."""
+    """Commands with an Id, and states that repeat it; Ids of motions are above 0.
+
+    The number and the sign of life are not part of a question.
+    """
 
     END = re.compile(rb"</Robot\w+>")
     LIFE = re.compile(rb' Life="\d+"')

@@ -1,12 +1,12 @@
-"""An emScon tracker behind TCP (protocols, section 3): settings, pointing, finding, measuring.
+"""An emScon tracker over TCP (protocols, section 3): settings, pointing, finding, measuring.
 
-Positions on the wire have the units and axes that were set; inside all is mm, right-handed. As with
-the original, lengths are metres until SetUnits says otherwise, and a measurement is acknowledged at
-once while its result comes later as a packet of its own.
+Positions on the wire have the configured units and axes, internally mm, right-handed. As in the
+original, lengths are metres until SetUnits, and a measurement is acknowledged at once while its
+result is a later packet.
 
-While something takes its time the client may still send: StopMeasurement is obeyed, all else is
-answered with "busy". In stepped time nothing takes time, and results follow at once. Samples of a
-stream are sent when their time has come: in stepped time by the thread that lets it pass.
+During an operation StopMeasurement is obeyed, and other commands are answered with "busy". In
+stepped time results follow at once. Samples of a stream are sent when due: in stepped time by the
+thread that advances time.
 """
 
 from __future__ import annotations
@@ -143,12 +143,11 @@ def wide(text: str) -> bytes:
 
 
 class SampleStream:
-    """A continuous measurement: samples by the tracker's clock, in packets, late and cut.
+    """A continuous measurement: samples by the tracker's clock, in late and divided packets.
 
-    The samples that are due follow from cell time alone, never from when somebody asks. As with
-    the original a packet holds several samples and comes late; it may come in two pieces, or
-    together with the next; only the times inside it say when a sample was taken. The methods must
-    not be called by two threads at once.
+    Due samples depend on cell time alone, not on polls. As in the original a packet has several
+    samples and is late; it may come in two pieces, or together with the next; only its timestamps
+    tell when a sample was taken. Not thread-safe.
     """
 
     def __init__(
@@ -163,71 +162,71 @@ class SampleStream:
         points: int,
         lost: Callable[[], None],
     ) -> None:
-        """``pack``: device times (N,), positions (N, 3) mm -> packet. ``points`` 0 is until it is
-        stopped; ``lost`` is called when the beam breaks.
+        """``pack``: device times (N,), positions (N, 3) mm -> packet. ``points`` 0: until stopped;
+        ``lost`` is called when the beam breaks.
         """
         self._truth, self._time, self._faults = truth, time, faults
         self._followed, self._pack, self._lost = followed, pack, lost
         self._separation_s, self._points = separation_s, points
         self._start_s = truth.device_s(time.now_s())
-        self._taken = self._packets = 0
+        self._sampled = self._packets = 0
         self._times_s, self._xyz_mm = np.zeros(0), np.zeros((0, 3))
-        self._kept = b""
+        self._delayed = b""
         self.ended = False
 
     def due(self) -> bytes:
         """Return the packets that are due by now."""
         if self.ended:
             return b""
-        broken = self._take()
+        broken = self._sample()
         sent = b""
-        packet_samples = (8, 3, 12, 5, 9)  # in turn
+        packet_samples = (8, 3, 12, 5, 9)  # in sequence
         while len(self._times_s) >= (size := packet_samples[self._packets % len(packet_samples)]):
             sent += self._packet(size)
-        if broken or self._taken == self._points != 0:
+        if broken or self._sampled == self._points != 0:
             sent += self.end() + status_change(Change.NOT_READY if broken else Change.READY)
         if broken:
             self._lost()
         return sent
 
     def end(self) -> bytes:
-        """Return all that was still under way; a second call does nothing."""
+        """Return all remaining bytes; a second call does nothing."""
         if self.ended:
             return b""
         self.ended = True
         self._followed.end()
         rest = self._pack(self._times_s, self._xyz_mm) if len(self._times_s) else b""
-        return self._kept + rest
+        return self._delayed + rest
 
-    def _take(self) -> bool:
-        """Take the samples that are due; return whether the beam broke."""
+    def _sample(self) -> bool:
+        """Take the due samples; return whether the beam broke."""
         now_s = self._truth.device_s(self._time.now_s())
         due = int((now_s - self._start_s) / self._separation_s)
         wanted = min(due, self._points) if self._points else due
-        if wanted == self._taken:
+        if wanted == self._sampled:
             return False
-        numbers = np.arange(self._taken + 1, wanted + 1)
+        numbers = np.arange(self._sampled + 1, wanted + 1)
         beam = takewhile(lambda _: self._faults.take("tracker.stream_break") is None, numbers)
         seen = sum(1 for _ in beam)
         times_s = np.asarray(self._start_s + self._separation_s * numbers[:seen], dtype=float)
         xyz_mm = self._followed.read(times_s) if len(times_s) else np.zeros((0, 3))
-        self._taken += len(xyz_mm)
+        self._sampled += len(xyz_mm)
         self._times_s = np.append(self._times_s, times_s[: len(xyz_mm)])
         self._xyz_mm = np.vstack([self._xyz_mm, xyz_mm])
         return len(xyz_mm) < len(numbers)
 
     def _packet(self, size: int) -> bytes:
-        """Return the bytes that go out with the next packet; the rest of it waits."""
+        """Return the bytes to send now; the rest waits for the next packet."""
         self._packets += 1
-        data = self._kept + self._pack(self._times_s[:size], self._xyz_mm[:size])
+        data = self._delayed + self._pack(self._times_s[:size], self._xyz_mm[:size])
         self._times_s, self._xyz_mm = self._times_s[size:], self._xyz_mm[size:]
         cut = len(data)
-        late_every, cut_every = 5, 3  # packets that wait for the next, and whose second half does
+        late_every, cut_every = 5, 3  # packets that are delayed, completely or their second half
         if self._packets % late_every == 0:
             cut = 0
         elif self._packets % cut_every == 0:
             cut //= 2
-        self._kept = data[cut:]
+        self._delayed = data[cut:]
         return data[:cut]
 
 
@@ -256,7 +255,7 @@ SETTINGS: dict[str, tuple[int, int, int, str, Arguments]] = {
 
 
 class Result(bytes):
-    """The packets that end a measurement; the faults of a wire may damage them."""
+    """The packets that end a measurement; faults of a wire may damage them."""
 
 
 # A step of a command: seconds of cell time to let pass, packets to send together, or packets with
@@ -309,18 +308,18 @@ class EmsconDevice:
             Command.GO_AND_MEASURE: ("<3d", self._go_and_measure),
             Command.STOP_MEASUREMENT: ("<", lambda command: iter([reply(command)])),
             Command.CHANGE_FACE: ("<", self._change_face),
-            Command.GO_BIRD_BATH: ("<", self._turn),
+            Command.GO_BIRD_BATH: ("<", self._go_bird_bath),
         }
         # The format of the fields behind a command, and what it does.
         self._handlers = work | {
-            command: ("<", partial(self._ask, query)) for command, query in queries.items()
+            command: ("<", partial(self._query, query)) for command, query in queries.items()
         }
         for name, (write, read, _, form, _) in SETTINGS.items():
             self._handlers[write] = (form, partial(self._set, name))
-            self._handlers[read] = ("<", partial(self._ask, partial(self._setting, name)))
+            self._handlers[read] = ("<", partial(self._query, partial(self._setting, name)))
 
     def handle(self, packet: bytes) -> Steps:
-        """Go through the steps of one whole packet from the client."""
+        """Yield the steps of one complete packet from the client."""
         _, _, command = COMMAND.unpack_from(packet)
         if command not in self._handlers:
             yield reply(command, Status.NOT_IMPLEMENTED)
@@ -376,7 +375,7 @@ class EmsconDevice:
         status, allowed = refusals.get(name, (Status.OK, lambda: True))
         return Status.OK if allowed() else status
 
-    def _ask(self, query: Callable[[], bytes], command: int) -> Steps:
+    def _query(self, query: Callable[[], bytes], command: int) -> Steps:
         yield reply(command, Status.OK, query())
 
     def _setting(self, name: str) -> bytes:
@@ -434,13 +433,13 @@ class EmsconDevice:
         self._initialised, self._target, self._face = True, None, self.FIRST
         yield reply(command) + status_change(Change.INITIALIZATION)
 
-    def _turn(self, command: int) -> Steps:
+    def _go_bird_bath(self, command: int) -> Steps:
         self._target = None
         yield self.FACE_S
         yield reply(command)
 
     def _change_face(self, command: int) -> Steps:
-        """Turn over and look where it looked before."""
+        """Change the face and point to the same place."""
         if not self._initialised:
             yield reply(command, Status.NOT_INITIALIZED)
             return
@@ -450,12 +449,12 @@ class EmsconDevice:
         yield reply(command) + status_change(seen)
 
     def _point(self, command: int, *xyz: float) -> Steps:
-        self._pointing_mm, self._target = self._inside_mm(xyz), None
+        self._pointing_mm, self._target = self._from_wire_mm(xyz), None
         yield self.POINT_S
         yield reply(command)
 
     def _go_position(self, command: int, x: float, y: float, z: float, _coordinates: int) -> Steps:
-        self._pointing_mm = self._inside_mm((x, y, z))
+        self._pointing_mm = self._from_wire_mm((x, y, z))
         yield from self._search(command)
 
     def _find_reflector(self, command: int, distance: float) -> Steps:
@@ -484,7 +483,7 @@ class EmsconDevice:
         return self._target is not None
 
     def _go_and_measure(self, command: int, *xyz: float) -> Steps:
-        self._pointing_mm = self._inside_mm(xyz)
+        self._pointing_mm = self._from_wire_mm(xyz)
         yield self.POINT_S
         self._lock_on()
         yield from self._start_measurement(command)
@@ -517,7 +516,7 @@ class EmsconDevice:
             self._time,
             self._faults,
             truth.follow(target),
-            lambda times_s, xyz_mm: multi_result(times_s, self._outside(xyz_mm), self._weather()),
+            lambda times_s, xyz_mm: multi_result(times_s, self._to_wire(xyz_mm), self._weather()),
             separation_s=separation_ms / 1000.0,
             points=int(points),
             lost=partial(setattr, self, "_target", None),
@@ -544,13 +543,13 @@ class EmsconDevice:
         ended_mm = self._instrument.reflector(target)
         if take("tracker.beam_break_after") is not None or ended_mm is None:
             return self._broken(command)
-        still_mm = 0.02  # a target that moves farther meanwhile gives no stationary result
+        still_mm = 0.02  # a target that moves further gives no stationary result
         measured = None
         if np.linalg.norm(ended_mm - began_mm) <= still_mm:
             measured = self._instrument.measure(target, back=self._face == self.SECOND)
         if measured is None:
             return reply(command, Status.NO_STATIONARY_RESULT) + ready
-        packets, self._late = [*self._late, self._packed(measured)], []
+        packets, self._late = [*self._late, self._encode(measured)], []
         if take("tracker.late_result") is not None:
             packets, self._late = packets[:-1], packets[-1:]
         if take("tracker.no_result") is not None:
@@ -562,7 +561,7 @@ class EmsconDevice:
         self._target = None
         return status_change(Change.NOT_READY) + reply(command, Status.NOT_READY)
 
-    def _packed(self, measured: Measurement) -> bytes:
+    def _encode(self, measured: Measurement) -> bytes:
         in_metres = self._faults.take("tracker.metres") is not None
         per_unit = 1000.0 if in_metres else self._mm_per_unit()
         signs = self._signs()
@@ -570,7 +569,7 @@ class EmsconDevice:
             signs[1] = -signs[1]
         xyz_mm = measured.xyz_mm
         along = xyz_mm / np.linalg.norm(xyz_mm)
-        xyz = signs * (xyz_mm + self._wrong_reflector_mm() * along) / per_unit
+        xyz = signs * (xyz_mm + self._offset_error_mm() * along) / per_unit
         bad = self._faults.take("tracker.bad_number")
         if bad is not None:
             xyz[0] = float(bad)
@@ -582,14 +581,14 @@ class EmsconDevice:
         values = (*xyz, *std, total, 0.0, 0.0, 0.0, *std, total, *weather)
         return single_result(values, status)
 
-    def _outside(self, xyz_mm: Array) -> Array:
-        """Return positions (N, 3) in the units and axes that are set."""
+    def _to_wire(self, xyz_mm: Array) -> Array:
+        """Return positions (N, 3) in the configured units and axes."""
         along = xyz_mm / np.linalg.norm(xyz_mm, axis=1, keepdims=True)
-        found: Array = self._signs() * (xyz_mm + self._wrong_reflector_mm() * along)
+        found: Array = self._signs() * (xyz_mm + self._offset_error_mm() * along)
         return found / self._mm_per_unit()
 
-    def _wrong_reflector_mm(self) -> float:
-        """Return how much the range is off with another reflector than the one mounted."""
+    def _offset_error_mm(self) -> float:
+        """Return the range error with another reflector than the mounted one."""
         mounted, chosen = (
             OFFSETS_MM.get(self._reflectors[number], 0.0)
             for number in (self._mounted, int(self._settings["reflector"][0]))
@@ -602,7 +601,7 @@ class EmsconDevice:
     def _mm_per_unit(self) -> float:
         return MM_PER_UNIT[int(self._settings["units"][0])]
 
-    def _inside_mm(self, values: Arguments) -> Array:
+    def _from_wire_mm(self, values: Arguments) -> Array:
         inside: Array = self._signs() * np.array(values) * self._mm_per_unit()
         return inside
 
@@ -639,10 +638,10 @@ class EmsconServer(Server):
                         self._obey(session, after)
 
     def _stream(self, session: _Session, stream: SampleStream, head: bytes) -> bytes | None:
-        """Send samples until the client stops it; return a packet that came after their end.
+        """Send samples until the client stops it; return a packet received after their end.
 
-        The client lets time pass as soon as it has the reply, so the stream is followed before that
-        reply, and no longer followed before the reply to the stop.
+        The client advances time as soon as it has a reply: so the stream is followed before the
+        first reply, and unfollowed before the reply to the stop.
         """
         lock = threading.Lock()
 
@@ -653,14 +652,14 @@ class EmsconServer(Server):
                 except OSError:
                     stream.end()
 
-        stream_look_s = 0.05  # cell time between two looks for samples that are due
-        look_s = None if self._time.stepped else stream_look_s / self._time.speed
+        stream_poll_s = 0.05  # cell time between two looks for samples that are due
+        poll_s = None if self._time.stepped else stream_poll_s / self._time.speed
         self._time.follow(send)
         try:
             with lock:
                 session.send(head)
             while True:
-                packet = session.receive(look_s)
+                packet = session.receive(poll_s)
                 if packet is None:
                     send()
                     continue
@@ -695,7 +694,7 @@ class EmsconServer(Server):
         return True
 
     def _send_damaged(self, session: _Session, data: bytes) -> None:
-        """Send a result's bytes as the faults want them on the wire."""
+        """Send a result's bytes, with the faults of the wire."""
         take = self._faults.take
         if take("tracker.eof") is not None:
             raise ConnectionAbortedError

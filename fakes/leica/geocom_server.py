@@ -1,12 +1,12 @@
 """A robotic total station behind GeoCOM, on TCP or on a pseudo terminal in place of a serial line.
 
-As with the original, lengths are metres and angles radians, Hz turns clockwise and V is zero at the
-zenith; few decimal places are sent until more are asked for; and a measured distance is kept until
-it is cleared, so that an angle without a new distance still comes with the old one.
+As in the original, lengths are metres and angles radians, Hz is clockwise and V zero at the zenith;
+few decimals are sent by default; a measured distance remains until it is cleared, so a new angle
+may come with an old distance.
 
 Empty lines end half a request and are not answered; ``c`` ends a motion and is answered by ``?``.
-An instrument works off one request after another. A line has no connection: an answer that
-one program did not wait for reaches the next one.
+Requests are executed one after another. A serial line has no connection: the next program receives
+an answer for which the previous one did not wait.
 """
 
 from __future__ import annotations
@@ -52,20 +52,20 @@ class Answer(NamedTuple):
 
 
 class Aborted(Exception):
-    """The client has ended the request under way."""
+    """The client aborted the request in progress."""
 
 
 class GeocomDevice:
-    """One instrument; ``handle`` takes one request after another.
+    """One instrument; ``handle`` executes one request after another.
 
-    Whatever takes its time calls ``wait``, which raises `Aborted` where the client does not.
+    Time passes in ``wait``, which raises `Aborted` if the client aborts.
     """
 
     SERIAL = 884321
     TURN_S, AIM_S, DISTANCE_S, ANGLE_S = 0.6, 0.4, 1.5, 0.1
 
     def __init__(self, site: Site) -> None:
-        """The true constant of the prism that is mounted everywhere is the cell file's."""
+        """The true prism constant is the cell file's."""
         self._instrument, self._faults = site.truth.tracker, site.faults
         self._true_prism_m = float(site.cell.tracker.options.get("prism_constant_mm", 0.0)) / 1000.0
         self._places_cache, self._prism_m = 4, 0.0
@@ -81,16 +81,16 @@ class GeocomDevice:
         take = site.faults.take
         self._handlers: dict[int, tuple[int, Callable[..., Answer]]] = {
             0: (0, Answer),
-            107: (1, self._keep("_places_cache", lambda places: 0 <= places <= 15)),
+            107: (1, self._setter("_places_cache", lambda places: 0 <= places <= 15)),
             108: (0, lambda: Answer(values=(str(self._places_cache),))),
             110: (0, lambda: _whole(3, 0, 0)),
             2003: (1, lambda mode: self._angles()),
-            2006: (1, self._keep("_tilt", lambda on: on in (0, 1))),
+            2006: (1, self._setter("_tilt", lambda on: on in (0, 1))),
             2007: (0, lambda: _whole(self._tilt)),
             2008: (2, self._start),
             2014: (0, lambda: _whole(*map(int, self._corrections))),
             2016: (4, self._set_corrections),
-            2020: (1, self._keep("_edm_mode", lambda mode: 0 <= mode <= 14)),
+            2020: (1, self._setter("_edm_mode", lambda mode: 0 <= mode <= 14)),
             2021: (0, lambda: _whole(self._edm_mode)),
             2023: (0, lambda: self._reals(self._prism_m)),
             2024: (1, partial(self._set, "_prism_m")),
@@ -102,11 +102,11 @@ class GeocomDevice:
             5003: (0, lambda: _whole(self.SERIAL + (take("tracker.wrong_identity") is not None))),
             5004: (0, lambda: Answer(values=('"TS60 (simulated)"',))),
             5034: (0, lambda: _whole(8, 50, 0)),
-            9027: (5, lambda hz, v, exact, aim, dummy: self._turn(hz, v, aim)),
+            9027: (5, lambda hz, v, exact, aim, dummy: self._point(hz, v, aim)),
             9028: (3, lambda exact, aim, dummy: self._change_face()),
             9029: (3, lambda hz, v, dummy: self._aim(hz, v)),
             9037: (3, lambda hz, v, dummy: self._aim(hz, v)),
-            18005: (1, self._keep("_atr", lambda on: on in (0, 1))),
+            18005: (1, self._setter("_atr", lambda on: on in (0, 1))),
             18006: (0, lambda: _whole(self._atr)),
         }
 
@@ -127,7 +127,7 @@ class GeocomDevice:
 
     # -- settings -------------------------------------------------------------------------------
 
-    def _keep(self, name: str, allowed: Callable[[float], bool]) -> Callable[[float], Answer]:
+    def _setter(self, name: str, allowed: Callable[[float], bool]) -> Callable[[float], Answer]:
         def handler(value: float) -> Answer:
             if value != int(value) or not allowed(value):
                 return Answer(Code.INVALID)
@@ -148,7 +148,7 @@ class GeocomDevice:
 
     # -- turning and aiming -----------------------------------------------------------------------
 
-    def _turn(self, hz: float, v: float, aim: float) -> Answer:
+    def _point(self, hz: float, v: float, aim: float) -> Answer:
         if not 0 <= v <= math.tau:
             return Answer(Code.INVALID)
         self._face = int(v > math.pi)
@@ -156,7 +156,7 @@ class GeocomDevice:
         self._target = None
 
         self._wait(self.TURN_S)
-        sight_rad = 1e-3  # beside which the distance meter still hits a prism
+        sight_rad = 1e-3  # off the line of sight, within which the distance meter hits a prism
         return self._aim(2 * sight_rad, 2 * sight_rad) if aim else Answer()
 
     def _change_face(self) -> Answer:
@@ -182,7 +182,7 @@ class GeocomDevice:
         take = self._faults.take
         if not inside or take("tracker.no_reflector") is not None:
             return Answer(Code.NO_TARGET)
-        apart_rad = 1e-3  # two targets closer than this are several to the target recognition
+        apart_rad = 1e-3  # closer targets are not separated
         if len(inside) > 1:
             (_, one_mm), (_, other_mm) = inside[:2]
             cosine = one_mm @ other_mm / (np.linalg.norm(one_mm) * np.linalg.norm(other_mm))
@@ -215,10 +215,7 @@ class GeocomDevice:
         return Answer()
 
     def _measurement(self, wait_ms: float, form: Callable[..., Answer]) -> Answer:
-        """Return the distance that was started, or the last one; angles alone where there is none.
-
-        It waits for a distance until ``wait_ms``, also for one that never comes.
-        """
+        """Return the started distance, or the last one, or angles alone, after up to ``wait_ms``."""
         take = self._faults.take
         if not self._started and self._measured is not None:
             return form(*self._measured)
@@ -259,7 +256,7 @@ class GeocomDevice:
         return Answer(Code.OK if distance_m else Code.ANGLES_ONLY, values)
 
     def _coordinates(self, hz: float, v: float, distance_m: float) -> Answer:
-        """East, north and height, and their time, twice: of the last and of the running reading."""
+        """East, north, height and time, twice: of the last and of the present reading."""
         across_m = distance_m * math.sin(v)
         east, north = across_m * math.sin(hz), across_m * math.cos(hz)
         each = (*self._reals(east, north, distance_m * math.cos(v)).values, str(self._time_ms()))
@@ -284,7 +281,7 @@ class GeocomDevice:
 
     @staticmethod
     def _ppm(pressure_mbar: float, dry_c: float) -> float:
-        """Return the atmospheric correction of dry air; zero at 12 C and 1013.25 mbar, nearly."""
+        """Return the atmospheric correction of dry air, about 0 at 12 C and 1013.25 mbar."""
         return 281.8 - 0.29065 * pressure_mbar / (1.0 + 0.00366 * dry_c)
 
 
@@ -293,7 +290,7 @@ def _whole(*values: int) -> Answer:
 
 
 def _direction(at_mm: Array) -> tuple[float, float]:
-    """Return Hz and V of a place in face 1: Hz turns from x to -y."""
+    """Return Hz and V of a position in face 1: Hz from x to -y."""
     x, y, z = at_mm
     return math.atan2(-y, x) % math.tau, math.acos(z / math.hypot(x, y, z))
 
@@ -354,7 +351,7 @@ class GeocomServer(Server):
         session.say(b"?")
 
     def _reply(self, session: _Session, rpc: int, transaction: int, answer: Answer) -> None:
-        """Send a reply as the faults want it on the wire."""
+        """Send a reply, with the faults of the wire."""
         results = (2082, 2108)
         if rpc not in results:
             known = self.device.knows(rpc)
@@ -378,10 +375,10 @@ def encoded(communication: int, transaction: int, answer: Answer) -> bytes:
 
 
 class _Session(LineSession):
-    """A client that may end the request under way."""
+    """A client that may abort the request in progress."""
 
     def aborted(self, timeout_s: float) -> bool:
-        """Whether the request under way is to end; others wait for their turn."""
+        """Whether the client aborts the request in progress; other requests are queued."""
         if b"c" not in self.lines:
             self.receive(timeout_s)
         if b"c" not in self.lines:

@@ -228,7 +228,7 @@ class MotionFaults(NamedTuple):
 
     target_deg: Array
     frozen: bool
-    keeps_acknowledge: bool
+    acknowledge_lost: bool
 
 
 def apply_start_faults(
@@ -257,9 +257,9 @@ def apply_start_faults(
             truth.grow(um_m)
         if slip_deg is not None:
             truth.loosen(2, float(np.radians(slip_deg)))
-    keeps_acknowledge = faults.take("robot.ack_previous") is not None
+    acknowledge_lost = faults.take("robot.ack_previous") is not None
     frozen = faults.take("robot.frozen") is not None
     target_deg = target_deg - (number("robot.stops_short") or 0.0)
     if faults.take("robot.wrong_turn") is not None:
         target_deg = target_deg + np.array([0.0] * 5 + [360.0])
-    return MotionFaults(target_deg, frozen, keeps_acknowledge)
+    return MotionFaults(target_deg, frozen, acknowledge_lost)

@@ -1,9 +1,8 @@
 """A robot of Universal Robots on its three ports: RTDE, scripts, dashboard (protocols, robot C).
 
 RTDE's packages are big-endian, ``size u16 | type u8 | payload``: states at a rate, registers in.
-States leave as often as the client wants; in stepped time, which passes as fast as it goes, so do
-cycles. One client at a time may write a register. Packages leave as `fakes.wires` says, and now and
-then two come glued.
+In stepped time each state is a cycle. One client at a time may write registers. Packages are sent
+as `fakes.wires` describes; occasionally two are sent in one segment.
 """
 
 from __future__ import annotations
@@ -61,7 +60,7 @@ class Runtime(IntEnum):
 
 
 class Error(IntEnum):
-    """How the program acknowledges."""
+    """Results of a command of the program."""
 
     OK = 0
     UNKNOWN_COMMAND = 1
@@ -74,12 +73,12 @@ Values = dict[str, float | int | Array]
 
 
 class UrController:
-    """One robot's controller; its methods may come from several threads.
+    """One robot's controller; safe to use from several threads.
 
-    Nobody may read more here than a controller knows: joints and poses are its own nominal ones. It
-    plays one program, that which came last by the script port. Of programs it understands the one
-    named ``hilcell``: that waits for another sequence in its register, moves, and acknowledges; a
-    motion of which the PC gives no sign of life is braked. Any other one plays and moves nothing.
+    Joints and poses are the controller's nominal ones, never the truth. It plays the last program of
+    the script port. It implements one named ``hilcell``: that waits for a new sequence number in its
+    register, moves, and acknowledges; a motion without a sign of life of the PC is braked. Other
+    programs move nothing.
     """
 
     STEP_S = 0.002  # of the controller
@@ -106,7 +105,7 @@ class UrController:
         self.restore()
 
     def restore(self) -> None:
-        """The operator puts everything right; no program plays."""
+        """Clear all faults, as an operator does; no program plays."""
         with self._lock:
             self.remote, self._mode = True, Mode.RUNNING
             self.safety: int = Safety.NORMAL
@@ -116,13 +115,13 @@ class UrController:
             self._motion.override(1.0)
 
     def slide(self, fraction: float) -> None:
-        """Somebody moves the speed slider at the panel."""
+        """Move the speed slider at the panel."""
         with self._lock:
             self._fraction = fraction
             self._motion.override(fraction)
 
     def state(self) -> Values:
-        """Return the outputs of one cycle by name; a moving robot gets further."""
+        """Return the outputs of one cycle by name; advances a motion."""
         with self._lock:
             self._apply_motion_faults()
             self._run()
@@ -147,14 +146,14 @@ class UrController:
                 self._timer.set_ms(-self.LIFE_MS)
             self._run()
             if self._session and self._runtime == Runtime.STOPPED:
-                self._time.advance(self.STEP_S)  # a PC that looks at the end of its session waits
-            # An exchange takes its time, and nothing else lets it pass; a sign of life takes none,
-            # for the slower the PC, the more of them it gives.
+                self._time.advance(self.STEP_S)  # the PC polls for the end of its session
+            # An exchange takes time, which only passes here; a sign of life takes none, for a slow
+            # PC sends more of them.
             if self._time.followed and changed != {life}:
                 self._motion.poll()
 
     def play(self, script: str) -> None:
-        """Play a program in place of the one before; local control, or a stop, takes none."""
+        """Replace the program; ignored in local control and after a stop."""
         with self._lock:
             self._apply_request_faults()
             name = self.NAME.match(script)
@@ -199,7 +198,7 @@ class UrController:
 
     def _values(self) -> Values:
         now_s = self._time.now_s()
-        state = self._motion.state(now_s)  # as of the package's own time, however busy this PC is
+        state = self._motion.state(now_s)  # at the package's time, however busy this PC is
         joints_rad, speeds = state.joints_rad, np.zeros(6)
         dither_rad, dither_rad_s = 5e-6, 4e-4  # of a joint that holds
         if state.moving:
@@ -238,15 +237,15 @@ class UrController:
     # -- the program --------------------------------------------------------------------------
 
     @property
-    def _ours(self) -> bool:
+    def _hilcell_plays(self) -> bool:
         return self._program == "hilcell" and self._runtime == Runtime.PLAYING
 
     def _run(self) -> None:
-        if not self._ours:
+        if not self._hilcell_plays:
             return
         self._count += 1
         stop = self.inputs["input_int_register_27"] != 0
-        if self._moves:
+        if self._in_motion:
             if stop:
                 self._brake(Error.BRAKED)
             elif not self._motion.moving and not self._frozen:
@@ -269,8 +268,8 @@ class UrController:
         if not inside.all() or self._faults.take("robot.softlimit") is not None:
             return Error.OUT_OF_LIMITS
         motion = apply_start_faults(self._faults, self._truth, target_deg)
-        self._keeps_acknowledge, self._frozen = motion.keeps_acknowledge, motion.frozen
-        self._moves = True
+        self._acknowledge_lost, self._frozen = motion.acknowledge_lost, motion.frozen
+        self._in_motion = True
         if not self._frozen:
             to_rad = np.radians(motion.target_deg)
             way_rad = np.abs(to_rad - self._motion.state().joints_rad)
@@ -281,14 +280,14 @@ class UrController:
         return Error.OK
 
     def _acknowledge(self, error: int) -> None:
-        if not self._keeps_acknowledge:
+        if not self._acknowledge_lost:
             self._timer.stop()
-            self._moves, self._error = False, error
+            self._in_motion, self._error = False, error
             self._acknowledged = int(self.inputs["input_int_register_24"])
 
     def _brake(self, why: int) -> None:
         self._motion.brake()
-        self._keeps_acknowledge = self._frozen = False
+        self._acknowledge_lost = self._frozen = False
         self._acknowledge(why)
 
     def _end_program(self) -> None:
@@ -296,13 +295,13 @@ class UrController:
         if self._motion.moving:
             self._motion.brake()
         self._program, self._runtime = "", Runtime.STOPPED
-        self._moves = self._keeps_acknowledge = self._frozen = False
+        self._in_motion = self._acknowledge_lost = self._frozen = False
 
     def _watchdog_expired(self) -> None:
-        """Brake a motion of which the PC has not spoken in time; called by the timer's thread."""
+        """Brake a motion without a sign of life in time; called by the timer's thread."""
         with self._lock:
-            self._run()  # a motion that has ended meanwhile needs no sign any more
-            if self._timer.expired and self._moves:
+            self._run()  # the motion may have ended meanwhile
+            if self._timer.expired and self._in_motion:
                 self._brake(Error.LOST)
 
     # -- faults -------------------------------------------------------------------------------
@@ -318,7 +317,7 @@ class UrController:
             self._mode, self._session = Mode.BOOTING, 0
 
     def _apply_motion_faults(self) -> None:
-        """Let a moving robot get further, and the faults of one happen."""
+        """Apply the faults of a moving robot, and advance the motion."""
         take = partial(self._faults.take, moving=self._motion.axes_moving)
         if take("robot.vanish") is not None:
             raise Vanished
@@ -373,14 +372,14 @@ class _Session:
 
     def serve(self) -> None:
         try:
-            while self._turn():
+            while self._step():
                 pass
         finally:
             if self._writes:
                 self._server.writer.release()
 
-    def _turn(self) -> bool:
-        """Answer what has come, or send a state when it is due; return whether to go on."""
+    def _step(self) -> bool:
+        """Answer a request, or send a state when it is due; return whether to continue."""
         wait_s = max(0.0, self._due_s - time.monotonic()) if self._started else None
         ready, _, _ = select.select([self._client], [], [], wait_s)
         if ready:
@@ -422,7 +421,7 @@ class _Session:
             self._layout = struct.Struct("!B" + "".join(layouts.get(each, "") for each in types))
             answer = b"\x01" + ",".join(types).encode()
         elif kind == Package.INPUTS:
-            number, types = self._claimed(_names(payload))
+            number, types = self._input_recipe(_names(payload))
             answer = bytes([number]) + ",".join(types).encode()
         elif kind in (Package.START, Package.PAUSE):
             self._started, answer = kind == Package.START, b"\x01"
@@ -431,8 +430,8 @@ class _Session:
         self._client.sendall(self.HEAD.pack(self.HEAD.size + len(answer), kind) + answer)
         return True
 
-    def _claimed(self, names: list[str]) -> tuple[int, list[str]]:
-        """Return the number of a new recipe, 0 where there is none, and its types."""
+    def _input_recipe(self, names: list[str]) -> tuple[int, list[str]]:
+        """Return the number of a new recipe, 0 if it is refused, and its types."""
         self._writes = self._writes or self._server.writer.acquire(blocking=False)
         known = self._server.controller.inputs
         types = [
@@ -492,7 +491,7 @@ class _Session:
 
 
 def _names(payload: bytes) -> list[str]:
-    """Return the names of a request; some clients end the list with a comma."""
+    """Return the names of a request, without a trailing comma."""
     return payload.decode("ascii", "replace").removesuffix(",").split(",")
 
 

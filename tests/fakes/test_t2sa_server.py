@@ -15,7 +15,7 @@ import pytest
 
 from fakes.faults import Faults
 from fakes.site import Site
-from fakes.t2sa_server import T2saDevice, T2saServer, imported, target_fan, write
+from fakes.t2sa_server import T2saDevice, T2saServer, read_points, target_fan, write
 from fakes.time import CellTime
 from fakes.truth.cell_truth import CellTruth
 from hilcell.cell.file import Cell
@@ -172,7 +172,7 @@ def test_the_list_of_a_site_is_what_the_bridge_has(cell: Cell, tmp_path: Path) -
     truth = CellTruth(cell, 1, clock, faults)
     server = T2saServer(Site(cell, truth, faults, clock))
     listed = Path(str(server.address["points"]))
-    points = imported(listed)
+    points = read_points(listed)
     assert len(points) > 1000
     np.testing.assert_allclose(points["H000001"], target_fan(cell)["H000001"], atol=1e-9)
     server.close()
