@@ -233,10 +233,10 @@ def read_points(path: Path) -> dict[str, Array]:
 def target_fan(cell: Cell) -> dict[str, Array]:
     """Return points (3,) in the tracker's frame in all directions of the cell's reflectors.
 
-    A person would import a list into the job, and name it in the cell file. In a simulated cell
-    whose file names none, this target_fan towards all that the arm and the nests can reach is both.
+    A user imports a list into the job and names it in the cell file; in a simulated cell without
+    one, this fan over the reach of the arm and the nests replaces it.
     """
-    ways = _reachable_mm(cell)
+    reachable_mm = _reachable_mm(cell)
     # unit vectors (N, 3), evenly spread by the golden angle
     pitch_rad = 0.01
     count = math.ceil(4.0 * math.pi / pitch_rad**2)

@@ -2,8 +2,8 @@
 
 Stepped time advances by the waits of the engine on the control channel, and by the polls of a
 moving device: each advances by a third of the motion, at most to its end. So a run takes the same
-simulated time on any PC. While a motion is followed (by a streaming tracker), a poll advances by the
-time of an exchange with a controller, and the followers work before the poll is answered.
+simulated time on any PC. While a motion is followed (by a streaming tracker), a poll advances by
+the time of an exchange with a controller, and the followers work before the poll is answered.
 
 Heartbeats, watchdogs and timers of a controller run in real time at any pace, as the PC's do.
 """

@@ -129,8 +129,8 @@ class RailDrive(CanopenSlave):
     """Node 5, CiA 402: moves the simulated rail in the modes profile position and homing.
 
     1000 counts/mm; speeds in counts/s, accelerations in counts/s^2. The brake is closed at rest
-    except in OPERATION ENABLED; while it is open, the servo dithers by a few counts and its speed is
-    almost never 0. Bit 12 of the statusword is "set-point acknowledged" in mode 1 and "homing
+    except in OPERATION ENABLED; while it is open, the servo dithers by a few counts and its speed
+    is almost never 0. Bit 12 of the statusword is "set-point acknowledged" in mode 1 and "homing
     attained" in mode 6.
     """
 

@@ -215,7 +215,7 @@ class GeocomDevice:
         return Answer()
 
     def _measurement(self, wait_ms: float, form: Callable[..., Answer]) -> Answer:
-        """Return the started distance, or the last one, or angles alone, after up to ``wait_ms``."""
+        """Return the started or last distance, or angles alone, after up to ``wait_ms``."""
         take = self._faults.take
         if not self._started and self._measured is not None:
             return form(*self._measured)

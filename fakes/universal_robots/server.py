@@ -75,10 +75,9 @@ Values = dict[str, float | int | Array]
 class UrController:
     """One robot's controller; safe to use from several threads.
 
-    Joints and poses are the controller's nominal ones, never the truth. It plays the last program of
-    the script port. It implements one named ``hilcell``: that waits for a new sequence number in its
-    register, moves, and acknowledges; a motion without a sign of life of the PC is braked. Other
-    programs move nothing.
+    Joints and poses are the controller's nominal ones, never the truth. It plays the last program
+    of the script port. Only a program named ``hilcell`` moves the arm: it waits for a new sequence
+    number in its register, moves, and acknowledges; a motion without the PC's heartbeat is braked.
     """
 
     STEP_S = 0.002  # of the controller
