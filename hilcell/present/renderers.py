@@ -54,10 +54,7 @@ def _built(table: Table, *, folded: bool) -> Drawn:
     headers = map(harmless, (column.plain_header for column in table.columns))
     for n, header in enumerate(headers):
         made.add_column(
-            header,
-            justify="right" if n else "left",
-            no_wrap=not (n and folded),
-            overflow="fold",
+            header, justify="right" if n else "left", no_wrap=not (n and folded), overflow="fold"
         )
     for row in table.texts(minus="-"):
         made.add_row(*map(harmless_lines, row))

@@ -96,7 +96,7 @@ class Table:
     """Rows of values (N rows, one value a column), in the order of ``columns``.
 
     ``mark`` gives the kind of a row that stands out: "sum", "stop", else "". A table without rows
-    is false: nobody shows it.
+    is false and is not shown.
     """
 
     def __init__(

@@ -362,8 +362,8 @@ class _Runs:
     def unfinished(self, live: tuple[bool, bool]) -> Iterator[str]:
         for which, log, lives in zip(("first", "second"), self._logs, live, strict=True):
             if (state := log.state) != "finished":
-                stands = lives or log.over
-                how = f"is {state}" if stands else f"was {state} when its engine was lost"
+                has_engine = lives or log.over
+                how = f"is {state}" if has_engine else f"was {state} when its engine was lost"
                 yield f"the {which} run {how}: its measured points are compared"
 
     def notes(self, *, grids: bool) -> Iterator[str]:
@@ -428,7 +428,7 @@ def _leaves(value: object, path: str) -> Iterator[tuple[str, str]]:
         yield path, value if isinstance(value, str) else msgspec.json.encode(value).decode()
 
 
-# The place stands first, so that rows differ where a column is narrow, too.
+# The place comes first: rows differ even where a column is narrow.
 
 CHANGES: tuple[Column[Change], ...] = (
     Column("where", attrgetter("where")),

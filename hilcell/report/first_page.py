@@ -1,6 +1,6 @@
 """The first page, which can be signed, and what a calibration certificate has to state.
 
-The page stands alone: nothing on it needs another one. Results are those of the journalled
+The page is complete: nothing on it needs another one. Results are those of the journalled
 verdicts.
 """
 
@@ -400,7 +400,7 @@ PAGE_1, POSES, STATIONS, UNCERTAINTY = "certificate", "poses", "stations", "unce
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One item: its clause, its name, its words, and the part of the report where it stands.
+    """One item: its clause, its name, its text, and the part of the report that has it.
 
     Without words it is a blank to fill in.
     """

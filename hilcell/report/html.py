@@ -38,7 +38,7 @@ from hilcell.report.timeline import timeline
 
 
 def volume_table(cell: Cell, tracker_mm: Array) -> Table:
-    """Return the table; ``tracker_mm`` (3,) is where the tracker stands in {W}."""
+    """Return the table; ``tracker_mm`` (3,) is the tracker's place in {W}."""
     centre, half = cell.grid.centre.matrix()[:3, 3], np.array(cell.grid.size_mm) / 2
     cube_mm = centre + np.array([*product((-1.0, 1.0), repeat=3)]) * half
     places = {s.name: apply(cell.layout.nominal_base(s.rail_mm), cube_mm) for s in cell.station}
@@ -105,7 +105,7 @@ PARTS = {
     "certificate": "first page", "glance": "At a glance", "poses": "Poses",
     "stations": "Stations, worst targets, drift", "uncertainty": "Uncertainty and method",
     "curves": "Transmission curves", "paper": "Figures of the paper", "record": "Record",
-    "items": "Where each required item stands",
+    "items": "Where each required item is",
 }  # fmt: skip
 
 
@@ -269,7 +269,7 @@ class ReportText:
         }
 
     def status(self) -> tuple[str, str]:
-        """Return how the run stands: a kind for the style sheet, and words."""
+        """Return the status of the run: a kind for the style sheet, and a text."""
         facts = self.facts
         end, state = facts.log.end, facts.log.state
         if facts.revoked:

@@ -1,4 +1,4 @@
-"""The tables of a report: each column is defined once, and its unit stands in its header."""
+"""The tables of a report: each column is defined once, with its unit in the header."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ class Tables:
     def touches(self) -> Table:
         note = (
             "By how much the base was moved for the commands of that visit, at the grid's centre. "
-            "u: tool point, 3D, 1 σ. Found / expected: the motion found, relative to what the "
+            "u: tool point, 3D, 1 σ. Measured / expected: the motion, relative to what the "
             "uncertainty before lets expect. Targets stay where the station frame has them."
         )
         # A station, and the record of the last visit on which its base was touched.
@@ -125,7 +125,7 @@ class Tables:
             Column("turn", lambda row: float(np.linalg.norm(row[1].turn_urad)), "µrad", ".1f"),
             Column("u before", lambda row: row[1].u_before_mm, "mm", ".4f"),
             Column("u after", lambda row: row[1].u_after_mm, "mm", ".4f"),
-            Column("found / expected", lambda row: row[1].pull, form=".1f"),
+            Column("measured / expected", lambda row: row[1].pull, form=".1f"),
         )
         return Table(columns, self._framed("touch", TouchedBase), "Touch poses", note)
 
@@ -371,8 +371,8 @@ class Tables:
 STATIONS: tuple[Column[tuple[Station, MeasuredStation]], ...] = (
     Column("station", lambda row: row[0].name),
     Column("rail", lambda row: row[0].rail_mm, "mm", ".3f"),
-    Column("strip, wanted", lambda row: row[0].strip_mm, "mm", ".3f"),
-    Column("strip, found", lambda row: row[1].strip_mm, "mm", ".3f"),
+    Column("strip, nominal", lambda row: row[0].strip_mm, "mm", ".3f"),
+    Column("strip, measured", lambda row: row[1].strip_mm, "mm", ".3f"),
     Column("fit rms", lambda row: row[1].rms_mm, "mm", ".3f"),
     Column("tool point u", lambda row: row[1].tool_uncertainty_mm, "mm", ".4f"),
     Column("worst corner u", lambda row: row[1].cube_uncertainty_mm, "mm", ".4f"),

@@ -186,10 +186,10 @@ class _Timeline:
 
 def timeline(facts: Facts) -> Table:
     counts = Counter(r.fact.what for r in facts.records if isinstance(r.fact, Event | OtherEvent))
-    slide = f", {counts['slide proven']} that the slide did" if facts.cell.has_rail else ""
+    slide = f", {counts['slide proven']} of the slide" if facts.cell.has_rail else ""
     note = (
         f"{counted(facts.log.session, 'start')} of an engine. Not listed: "
-        f"{counts['tracker proven']} verifications that the tracker did not move{slide}."
+        f"{counts['tracker proven']} verifications of the tracker{slide}."
     )
     name = facts.zone.tzname(None)  # UTC in brackets where that is another
     columns: tuple[Column[Line], ...] = (
@@ -203,7 +203,7 @@ def timeline(facts: Facts) -> Table:
 
 
 def _dated(lines: Sequence[Line], facts: Facts) -> Iterator[Line]:
-    """Yield lines by the time of day; the date stands where it changes."""
+    """Yield lines by the time of day; with the date where it changes."""
     date = None
     for line in lines:
         moment = in_zone(line.t, facts.zone)

@@ -399,13 +399,13 @@ class HilcellApp(Application):
         if live or (sent and not over):
             self._close_questions()
             # The key's own thread has stopped already: its engine may be gone by now.
-            heard = sent or self.open_runs.stop_received
+            received = sent or self.open_runs.stop_received
             notice = "STOP: no engine received it"
-            if heard:
+            if received:
                 notice = "STOP sent" if sent else "stopped: the engine has ended"
             if any(session.view.state == "silent" for session in live):
                 notice += ", but it does not answer: use the E-stop"
-            self.show_notice(notice, for_now=heard)
+            self.show_notice(notice, for_now=received)
         elif len(self.screen_stack) > 2:
             self.pop_screen()
         elif self.session is not None:
@@ -416,7 +416,7 @@ class HilcellApp(Application):
             self.pop_screen()
 
     def _turn_to(self, page: type[BaseScreen]) -> None:
-        """Show a page; one of its kind that is open is gone back to: keys may be held down."""
+        """Show a page; one that is open already is shown again: keys may be held down."""
         if any(type(each) is page for each in self.screen_stack):
             while type(self.screen) is not page:
                 self.pop_screen()

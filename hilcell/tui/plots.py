@@ -1,6 +1,6 @@
 """Plots as lines of text: arrays in, styled lines out; nothing here knows a run.
 
-A plot stands in a frame with ticks, a dotted grid, limits, series, and their names beside them.
+A plot has a frame with ticks, a dotted grid, limits, series, and their names beside them.
 Ticks are steps of 1, 2 and 5. A limit never lies on the frame: its scale goes on by at least a
 whole step. A scale only grows (`before`), so that a plot of a live run does not jump. The canvas
 has two marks a row; where colours do not tell series apart, a cell shows a letter.
@@ -87,7 +87,7 @@ class Scale:
     def share(self, values: Array) -> Array:
         """Return where values (N,) stand, 0 at the lowest tick and 1 at the highest; NaN stays.
 
-        A value beyond an end stands at that end.
+        A value beyond an end is at that end.
         """
         at, low, high = np.asarray(values, dtype=float), self.low, self.high
         if self.is_log:
@@ -344,7 +344,7 @@ class _Drawing:
     def _halves(self, values: Array) -> Ints:
         """Return the half (N,) of each value, on the right side of every limit's line.
 
-        A letter fills both halves: it stands in the row above or under the line.
+        A letter fills both halves: it is in the row above or under the line.
         """
         halves: Ints = np.floor(2.0 * self._scale.rows(values, self._height)).astype(int)
         room = int(self._style.letters)
@@ -414,7 +414,7 @@ def place(
 ) -> list[tuple[int, int] | None]:
     """Return row and column of the first letter of each name, or None where there is no room.
 
-    ``lines``: the cells (rows, columns) that each series covers. ``wanted``: the share of the
+    ``lines``: the cells (rows, columns) that each series covers. ``preferred``: the share of the
     width at which each name had best begin, so that names are apart.
     """
     taken: Bools = np.any(lines, axis=0)

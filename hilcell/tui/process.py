@@ -113,7 +113,7 @@ async def run_command(*arguments: str) -> str:
     if process.returncode:
         reason = err.decode(errors="replace").strip() or out.decode(errors="replace").strip()
         words, _, hint = reason.partition("\n")
-        if hint.endswith("--help` lists all arguments"):  # of a command line: nobody wrote it here
+        if hint.endswith("--help` lists all arguments"):  # of a command line
             reason = words.partition(": ")[2].removeprefix("argument --")  # the field's name
         raise HilcellError(reason.removeprefix(REASON))
     return out.decode(errors="replace") + err.decode(errors="replace")

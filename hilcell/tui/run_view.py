@@ -59,9 +59,9 @@ class RunView:
     alarms: list[Alarm] = field(default_factory=list)
     records: list[Record] = field(default_factory=list)  # the newest, for the event log
     last: Point | None = None
-    newest: Point | None = None  # that is no proof of nests; drawn large
+    newest: Point | None = None  # that is no control point; drawn large
     newest_t: str = ""  # when its record was written
-    span: SpanProgress | None = None  # how far the part under way is
+    span: SpanProgress | None = None  # progress of the part in work
     step: StepBegun | None = None
     measured: dict[int, set[str]] = field(default_factory=dict)  # keys of points by step
 

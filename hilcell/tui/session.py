@@ -298,8 +298,7 @@ class Session:
         client = EngineClient.of_run(self.folder, timeout_s) if apart else self.feed.client
         if client is None:
             raise HilcellError(
-                f"{command}: no engine is running for {self.folder.name}",
-                code="HC-J08",
+                f"{command}: no engine is running for {self.folder.name}", code="HC-J08"
             )
         try:
             client.ask(command, **subject)

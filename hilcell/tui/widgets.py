@@ -117,7 +117,7 @@ class PlainScrollBar(ScrollBarRender):
 class Choice(TextPanel, can_focus=True):
     """Shows the chosen word between arrows, and which of many it is; posts `Turned`."""
 
-    MANY = 4  # words of a choice that need no count
+    MANY = 4  # options that need no count
 
     class Turned(Message):
         """Another word was chosen."""

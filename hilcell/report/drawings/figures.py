@@ -1,4 +1,4 @@
-"""Figures of measurements drawn by matplotlib, and their SVG that stands inside a page.
+"""Figures of measurements drawn by matplotlib, and their SVG inside a page.
 
 They are of rail, frames and strip, and of the pose test of ISO 9283; a procedure may add its own.
 A figure without data is left out. The SVG is small and the same every time. Figures of one page
@@ -274,7 +274,7 @@ class Figures:
         )
 
     def strip(self) -> Drawn | None:
-        """Draw where the slide stood after each approach, by drive alone and held by the strip."""
+        """Draw the slide's position after each approach, by drive alone and held by the strip."""
         facts = self.facts
         held = {"plain": Sent.BEFORE, "strip": Sent.CHOSEN}  # drawn in the colours of these
         ways = [

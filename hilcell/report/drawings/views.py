@@ -26,7 +26,7 @@ from hilcell.report.drawings.drawing import (
 def plan_view(cell: Cell, tracker_mm: Array, simulated: bool = False) -> str:
     """Return the cell from above: rail, stations, calibrated volumes, floor nests, tracker, {W}.
 
-    x goes to the right and y up, as {W} has them; ``tracker_mm`` (3,) is where the tracker stands
+    x goes to the right and y up, as {W} has them; ``tracker_mm`` (3,) is the tracker's place
     in {W}.
     """
     return _Plan(cell, tracker_mm).svg(simulated)
@@ -177,7 +177,7 @@ class _Plan:
 def side_view(cell: Cell, tracker_mm: Array, simulated: bool) -> str:
     """Return the cell looked at along the rail, z up.
 
-    ``tracker_mm`` (3,) is where the tracker stands in {W}.
+    ``tracker_mm`` (3,) is the tracker's place in {W}.
     """
     along = along_of(cell)
     across = np.array([along[1], -along[0], 0.0])
@@ -194,7 +194,7 @@ def side_view(cell: Cell, tracker_mm: Array, simulated: bool) -> str:
 
 class _Side:
     WIDTH_MM, MARGIN_MM, MOST_HEIGHT_MM = 58.0, 4.0, 42.0  # on paper
-    TRACKER_MM, HEIGHTS_MM = 9.0, 13.0  # half the word, and the words of the heights
+    TRACKER_MM, HEIGHTS_MM = 9.0, 13.0  # half the label of the tracker; labels of the heights
     FOOT_MM, SHOULDER_MM = 250.0, 700.0  # half the robot's foot, and its height, as drawn
 
     def __init__(self, volume: Array, robot: Array, tracker: Array, floor: float) -> None:
@@ -246,6 +246,6 @@ class _Side:
         yield text(self._word_x(), y - 2.2, "tracker", "middle", bold=True)
 
     def _word_x(self) -> float:
-        """Return where the middle of the tracker's name stands, inside the drawing."""
+        """Return the middle of the tracker's name, inside the drawing."""
         x, _ = self._at(self._tracker)
         return min(max(x, self.TRACKER_MM), self.WIDTH_MM - self.TRACKER_MM)

@@ -466,7 +466,7 @@ class Page(BaseScreen):
 
     title_text: ClassVar[str] = ""
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("q,backspace", "back", "back", show=False, priority=True),  # in the order typed
+        Binding("q,backspace", "back", "back", show=False, priority=True)  # in the order typed
     ]
     fixed: ClassVar[tuple[tuple[str, str], ...]] = (("q", BACK),)
 

@@ -166,7 +166,7 @@ class LogPage(FilterScreen, Page):
         rows = Table(log_columns(BEGIN), empty="no records")
         rows.follow = True
         yield rows
-        yield self.filter_box("filter: words of a record")
+        yield self.filter_box("filter: text of a record")
 
     def begin(self) -> None:
         super().begin()
@@ -379,7 +379,7 @@ def _outcome(run: RunRow) -> str:
 
 
 def _local(run: RunRow) -> str:
-    with suppress(ValueError):  # "", or what a journal of anybody's has in its place
+    with suppress(ValueError):  # "", or untrusted text in its place
         return f"{in_zone(run.begun):%H:%M %Z}"
     return ""
 
@@ -496,11 +496,7 @@ class HistoryPage(FilterScreen, Page):
 
     title_text = "History"
     footer = ("mark", "compare", "find", "stop", "quit")
-    fixed: ClassVar[tuple[tuple[str, str], ...]] = (
-        *Page.fixed,
-        ("Enter", "open"),
-        CHOOSE,
-    )
+    fixed: ClassVar[tuple[tuple[str, str], ...]] = (*Page.fixed, ("Enter", "open"), CHOOSE)
 
     def __init__(self) -> None:
         super().__init__()

@@ -55,7 +55,7 @@ class RunScreen(FilterScreen):
         ("q", "back from the points to the verdict or the alarm, or to the run behind"),
     )
     HORIZONTAL_BREAKPOINTS = [  # noqa: RUF012 - as Textual has it
-        (100, "-beside"),  # the map stands beside the points
+        (100, "-beside"),  # the map is beside the points
         (120, "-table"),  # the table has nominal and measured places in its stead
         (138, "-wide"),  # the map in three views
     ]
@@ -133,7 +133,7 @@ class RunScreen(FilterScreen):
 
     @property
     def instead(self) -> str:
-        """Return which panel stands in the place of the points: prompt, verdict, alarm, or none."""
+        """Return which panel is in the place of the points: prompt, verdict, alarm, or none."""
         view = self.application.view
         if view is None or view.prompt is not None:
             return "prompt" if view is not None else ""

@@ -81,7 +81,7 @@ class Entries:
 class StartScreen(BaseScreen):
     """The fields on the left, the plan on the right; nothing moves before a yes."""
 
-    FIELDS = (  # name, first entry, hint; the procedure stands after the cell
+    FIELDS = (  # name, first entry, hint; the procedure comes after the cell
         ("cell", "paper", "a built-in cell, or a TOML file"),
         ("operator", "", "recorded in the journal"),
         ("job", "", "recorded in the journal"),

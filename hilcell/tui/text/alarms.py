@@ -1,4 +1,4 @@
-"""Alarms: the words of one, the box of the alarm that has ended a run, and the page of all."""
+"""Alarms: the text of one, the box of the alarm that ended a run, and the page of all."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class AlarmContext:
         parts: list[Lines | Text] = []
         for alarm in reversed(alarms):
             latched = standing.get(alarm.code)
-            if latched is None or latched.alarm != alarm:  # one that stands no more is acknowledged
+            if latched is None or latched.alarm != alarm:  # one that is not latched any more
                 latched = Latched(alarm, alarm.severity, 1, acknowledged=latched is None)
             parts += self._whole(latched)
         raised = {alarm.code for alarm in alarms}
@@ -90,7 +90,7 @@ class AlarmContext:
         return Content.styled(words, f"bold $on-{tone} on ${tone}-fill")
 
     def facts(self, latched: Latched, kept: str = "") -> Lines:
-        """Return since when an alarm stands, its cause, meaning, place and reading."""
+        """Return the time of an alarm, its cause, meaning, place and reading."""
         alarm, ago = latched.alarm, ""
         since = Content.styled("of the whole run", "$label")
         if alarm.t:
@@ -207,7 +207,7 @@ def present_step(latched: Latched) -> int:
     """Return the index of the first step that is not done, as far as it is known.
 
     A person's steps are left to the person with the acknowledgement, a controller's are done when
-    the cause is seen to be gone; where nobody watches the cause, the controller is asked as the run
+    the cause is known to be gone; where it is not monitored, the controller is asked as the run
     goes on.
     """
     alarm, last = latched.alarm, max(len(latched.alarm.do) - 1, 0)

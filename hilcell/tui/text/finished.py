@@ -63,7 +63,7 @@ from hilcell.tui.layout import (
 from hilcell.tui.run_view import RunView
 from hilcell.tui.terminal import Glyphs
 from hilcell.tui.text.plots import validated_places
-from hilcell.tui.text.run import SAID, simulation_block
+from hilcell.tui.text.run import OUTCOME_STYLES, simulation_block
 
 NEXT = "o report   p plots   w worst points   n new run"
 
@@ -215,7 +215,7 @@ class Station:
 
     def cells(self, limits: Limits, glyphs: Glyphs) -> list[Cell]:
         judged, outcome = self.judged, self.judged.outcome
-        role, shape, *_ = SAID[outcome]
+        role, shape, *_ = OUTCOME_STYLES[outcome]
         word, tone = outcome.short, f"${role}"
         if outcome is Outcome.REJECTED:
             word, tone = word.upper(), f"bold {tone}"
@@ -280,7 +280,7 @@ class Finished:
             Figure("worst single |e|, mm", single.judged.max_mm, f"at {single.name}", limits.max_mm,
                    single.judged.max_U_mm),
         )  # fmt: skip
-        return Head((word,), stated, SAID[self.outcome][0], figures)
+        return Head((word,), stated, OUTCOME_STYLES[self.outcome][0], figures)
 
     @property
     def orientation(self) -> list[Lines | Text]:
@@ -399,8 +399,8 @@ def _whole(*phrases: Text) -> Lines:
 
 
 def _drift(view: RunView, glyphs: Glyphs, standing: int) -> Lines:
-    proofs = [e.fact.off_mm for e in view.log.events if isinstance(e.fact, TrackerVerified)]
-    moved = max((max(each) for each in proofs if each), default=None)
+    offsets_mm = [e.fact.off_mm for e in view.log.events if isinstance(e.fact, TrackerVerified)]
+    moved = max((max(each) for each in offsets_mm if each), default=None)
     over = sum(alarm.cause == "over" for alarm in view.alarms)
     count = max(len(view.alarms), standing) - over
     text = f"{count} alarm{'s' if count > 1 else ''}: e" if count else "no alarms"
@@ -544,7 +544,7 @@ def _converted(value: object, kind: type[T]) -> T | None:
 
 
 def procedure_table(name: str, result: Json) -> tuple[Table, str]:
-    """Return a procedure's own table and words of a result; nothing of what it cannot read."""
+    """Return a procedure's own table and text of a result; none where it cannot read it."""
     if not result:
         return Table((), ()), ""
     try:

@@ -544,10 +544,7 @@ class Figures:
                 remarks.append((f"{name} not used: {record.reason}", "$label"))
             elif not record.cycles:
                 rows.append([(name, style), ("none", style), ""])
-        words = (
-            "Each line is an error, with its cycles per revolution of the joint.",
-            "$label",
-        )
+        words = ("Each line is an error, with its cycles per revolution of the joint.", "$label")
         columns = Col(4), Col(13, right=True), Col(11, right=True)
         return Stack(section("gear lines"), Grid(rows, *columns), *remarks, BLANK, words)
 

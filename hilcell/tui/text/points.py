@@ -206,7 +206,7 @@ _FIELDS = (  # after the name
 def columns_for(width: int, *, bad_only: bool = False, worst: bool = False) -> Sequence[Column]:
     """Return the columns that a table of this width shows; the first title names the filter.
 
-    Where the station has no column of its own, it stands beside the name.
+    Where the station has no column of its own, it is beside the name.
     """
     title = ("bad by |e|" if worst else "bad points") if bad_only else "worst first"
     beside = BESIDE_NAME if width >= FIGURES_FROM else BESIDE_NAME_ALONE

@@ -70,15 +70,15 @@ class PromptText:
     glyphs: Glyphs
 
     @property
-    def seats(self) -> bool:
-        """Whether the prompt asks to seat a reflector, and no failed reading made it ask."""
+    def asks_to_place(self) -> bool:
+        """Whether the prompt asks to place a reflector, and no failed reading made it ask."""
         return bool(self.view.log.life) and not self.view.log.life[-1].change.error
 
     @property
     def count(self) -> str:
-        """Return how far a step has come that measures where reflectors are seated."""
+        """Return how far a step has come that measures with reflectors placed by hand."""
         plan, step = self.view.log.plan, self.view.step
-        if plan is None or not step or not self.seats:
+        if plan is None or not step or not self.asks_to_place:
             return ""
         planned = plan.steps[step.number - 1].points if step.number <= len(plan.steps) else 0
         done = len(self.view.measured.get(step.number, ()))
@@ -86,11 +86,11 @@ class PromptText:
 
     def picture(self) -> Lines:
         """Return the plan, over it the words where they say more than the task."""
-        site, seating = Site.of(self.view, self.prompt), self.seats
+        site, placing = Site.of(self.view, self.prompt), self.asks_to_place
         rest = f"robot at safe pose{', slide held' if self.view.has_rail else ''}: nothing moves"
 
         def draw(width: int, height: int) -> list[Content]:
-            drawn = [] if site is None or not seating else site.drawn(width, height - 2)
+            drawn = [] if site is None or not placing else site.drawn(width, height - 2)
             if drawn:
                 above = Content.styled("from above, to scale", "$label")
                 return [above, *drawn, Content.styled(rest, "$label")]
@@ -98,13 +98,13 @@ class PromptText:
             drawn = [] if site is None else site.drawn(width, height - len(words) - 1)
             return [*words, *([BLANK] if drawn else []), *drawn]
 
-        return Drawing((self.prompt.text, site, seating), draw)
+        return Drawing((self.prompt.text, site, placing), draw)
 
     def task(self, *, low: bool = False) -> Lines:
-        """Return the task, how far the reflector is off, and who sees it."""
+        """Return the task, how far the reflector is off, and whether it is visible."""
         place, off, seen = self._place(), [], []
         if self.prompt.check:
-            off, seen = self._off(low=low), self._seen()
+            off, seen = self._off(low=low), self._visibility()
         lines = [*place[-2:], *off, *seen] if low else [*place, BLANK, *off, BLANK, *seen]
         return Grid([[line] for line in lines], Col(grows=True))
 
@@ -114,16 +114,16 @@ class PromptText:
         if nest := nests.get(place):
             xyz = f"x {nest.x_mm:.0f} y {nest.y_mm:.0f} z {nest.z_mm:.0f} mm"
             at = Content.assemble(("at ", "$label"), xyz)
-        if not self.seats:
+        if not self.asks_to_place:
             return [Content.styled(f"At {place}" if place else "", "bold"), at]
         take = self.view.log.seated
         lines = [Content.assemble(("Take ", "$label"), f"it out of {take}")] if take else []
-        seat = Content.assemble(("Place ", "$label"), (f"it in {place}", "bold"))
-        return [*lines, seat, at]
+        task = Content.assemble(("Place ", "$label"), (f"it in {place}", "bold"))
+        return [*lines, task, at]
 
     @property
     def is_ready(self) -> bool:
-        """Whether Enter answers: the last reading was good, or nothing is looked at."""
+        """Whether Enter answers: the last reading was good, or none is needed."""
         prompt, view = self.prompt, self.view
         return not prompt.check or (prompt.ready and not view.stale and prompt.age_s is not None)
 
@@ -144,8 +144,8 @@ class PromptText:
         digits = Grid(zip(large(text, style, self.glyphs), beside, strict=True), Col(17), Col())
         return [Content.styled(what, "$label"), *digits.lines(25)]
 
-    def _seen(self) -> list[Content]:
-        """Return who sees the reflector, and how old that is; devices that are lost come first."""
+    def _visibility(self) -> list[Content]:
+        """Return whether the reflector is visible, and the age of that; lost devices come first."""
         prompt, view, glyphs = self.prompt, self.view, self.glyphs
         lost = "" if view.stale else lost_devices(view)
         age = "" if prompt.age_s is None else short_age(prompt.age_s + view.status_age_s)
@@ -169,7 +169,8 @@ class PromptText:
     def enter(self) -> Content:
         """Return the key that answers, grey until it would."""
         ready, prompt = self.is_ready, self.prompt
-        words = "measure it here" if prompt.expected_mm is not None and self.seats else "go on"
+        measures = prompt.expected_mm is not None and self.asks_to_place
+        words = "measure it here" if measures else "go on"
         if not prompt.check:
             words = "when it is done"
         style = "bold $on-ask on $ask-fill" if ready else "$stale on $badge"
@@ -189,15 +190,15 @@ Place = tuple[float, float]  # x and y in {W}, mm
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """Where things stand; ``nests`` are those of the wanted one's frame, ``done`` the measured."""
+    """Places of the cell; ``nests`` are those of the asked one's frame, ``done`` the measured."""
 
     LEAST_COLUMNS: ClassVar = 24  # for which a drawing is worth it
     LEAST_ROWS: ClassVar = 5
 
     nests: dict[str, Place]
     done: frozenset[str]
-    wanted: str
-    wanted_mm: Place
+    asked: str
+    asked_mm: Place
     robot_mm: Place
     tracker_mm: Place
     along: Place  # the rail's direction, of length 1; 0, 0 where there is none
@@ -210,7 +211,7 @@ class Site:
             return None
         log, layout = view.log, view.log.cell.layout
         T_W_L = Frames(log.cell, log).tracker_in_world()
-        wanted = apply(T_W_L, np.array([prompt.expected_mm]))[0]
+        asked = apply(T_W_L, np.array([prompt.expected_mm]))[0]
         last = [*log.points][-1:]
         rail_mm = log.points[last[0]].rail_mm if last else None
         if rail_mm is None:  # not recorded yet: where it was held last, the grid's station before
@@ -225,8 +226,8 @@ class Site:
         return cls(
             nests=nests,
             done=done & nests.keys(),
-            wanted=prompt.place,
-            wanted_mm=nests.get(prompt.place, cls._above(wanted)),
+            asked=prompt.place,
+            asked_mm=nests.get(prompt.place, cls._above(asked)),
             robot_mm=cls._above(T_W_B[:3, 3]),
             tracker_mm=cls._above(T_W_L[:3, 3]),
             along=(layout.rail_direction[0], layout.rail_direction[1]),
@@ -245,7 +246,7 @@ class Site:
         """Return ``rows`` lines of ``columns``; none where that is too small for a drawing."""
         if columns < self.LEAST_COLUMNS or rows < self.LEAST_ROWS:
             return []
-        nests = [self.wanted_mm, *self.nests.values()]
+        nests = [self.asked_mm, *self.nests.values()]
         views = ([*nests, self.robot_mm, self.tracker_mm], [*nests, self.robot_mm], nests)
         drawn = (_Drawing(self, places, columns, rows) for places in views)
         complete = next((each for each in drawn if not each.unnamed), None)
@@ -271,7 +272,7 @@ class _Drawing:
         self._top_mm = (min(ys) + max(ys) + mm * height) / 2
         self._canvas = Canvas(columns, self._rows)
         self._taken: set[tuple[int, int]] = set()
-        self._wanted()
+        self._asked_nest()
         self.unnamed = self._nests()
         self._tracker()
         self._slide()
@@ -306,9 +307,9 @@ class _Drawing:
         )  # fmt: skip
         return any(self._put(*at, text, style) for at in around)
 
-    def _wanted(self) -> None:
-        column, row = self._cell(self._site.wanted_mm)
-        text = f" {_short(self._site.wanted)} "
+    def _asked_nest(self) -> None:
+        column, row = self._cell(self._site.asked_mm)
+        text = f" {_short(self._site.asked)} "
         column = min(max(column - len(text) // 2, 0), self._columns - len(text))
         self._put(column, row, text, "bold $on-ask on $ask-fill")
 
@@ -317,7 +318,7 @@ class _Drawing:
         others = {
             name: self._cell(place)
             for name, place in sorted(self._site.nests.items(), key=itemgetter(1))
-            if name != self._site.wanted
+            if name != self._site.asked
         }
         shown = {name: at for name, near in others.items() if (at := self._marked(name, near))}
         named = {
@@ -373,7 +374,7 @@ class _Drawing:
                 self._put(*self._cell((x, y)), "│" if steep else "─", "$stale")
 
     def _beam(self) -> None:
-        (x0, y0), (x1, y1) = self._site.wanted_mm, self._site.tracker_mm
+        (x0, y0), (x1, y1) = self._site.asked_mm, self._site.tracker_mm
         steps = math.ceil(math.hypot(x1 - x0, (y1 - y0) / 2) / self._mm)
         for n in range(0, min(steps, 4 * self._columns), 2):
             at = (x0 + (x1 - x0) * n / steps, y0 + (y1 - y0) * n / steps)

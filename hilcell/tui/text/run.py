@@ -134,7 +134,7 @@ def resume_text(view: RunView | None) -> str:
 
 
 DeviationOf = Callable[[Log, Point], Deviation | None]
-SAID: dict[Outcome, tuple[str, str, str, str]] = {  # role, shape's name, words, those of an old one
+OUTCOME_STYLES: dict[Outcome, tuple[str, str, str, str]] = {  # role, shape, text, text if old
     Outcome.ACCEPTED: ("passed", "fresh", Outcome.ACCEPTED.text, "was in tol."),
     Outcome.UNDECIDED: ("ask", "warned", Outcome.UNDECIDED.text.upper(), "was undecided"),
     Outcome.REJECTED: ("fault", "warned", Outcome.REJECTED.text.upper(), "was out of tol."),
@@ -186,7 +186,7 @@ class Shown:
         if self.stale or self.deviation is None:
             return "$stale"
         judged = self.deviation.limit_mm is not None
-        return f"${SAID[self.deviation.outcome][0]}" if judged else "$foreground"
+        return f"${OUTCOME_STYLES[self.deviation.outcome][0]}" if judged else "$foreground"
 
     def large(self, deviation: Deviation, glyphs: Glyphs) -> Lines:
         """Return |e| large, and its components with a signed bar each."""
@@ -222,7 +222,7 @@ class Shown:
         if deviation.limit_mm is None:
             words = (f"{glyphs.stale} {self.word}", "$stale" if self.stale else "")
             return [["", words, ""], ["", "", ""]]
-        role, shape, word, was = SAID[deviation.outcome]
+        role, shape, word, was = OUTCOME_STYLES[deviation.outcome]
         label = (f"{getattr(glyphs, shape)} {word}", f"bold ${role}")
         if self.stale:
             label = (f"{glyphs.stale} {was}", "$stale")
@@ -261,7 +261,7 @@ class Shown:
     def chosen(
         cls, view: RunView, key: str, deviation: DeviationOf = deviation_of, *, chosen: bool = True
     ) -> Shown:
-        """Return that under the table's cursor; not ``chosen``: the cursor only stood there."""
+        """Return that under the table's cursor; not ``chosen``: the cursor was only there."""
         point = view.log.points.get(key)
         if point is None:
             return cls("no point measured yet", None, "")
@@ -360,7 +360,7 @@ class RunText:
         return words.upper(), "ask" if view.log.decided is Outcome.UNDECIDED else "fault"
 
     def role(self) -> str:
-        """Return the role of the state's colour; RUNNING is not bright where nothing is heard."""
+        """Return the role of the state's colour; RUNNING is not bright without a fresh status."""
         role = self.state_label()[1]
         return "label" if role == "live" and self.view.stale else role
 
@@ -450,7 +450,7 @@ class RunText:
         return "" if view.last.id.group == CONTROL and not of_nests else view.last.id.part
 
     def _of_step(self, number: int) -> tuple[int, int]:
-        """Return how many of the part under way are measured, and planned; of the step else."""
+        """Return how many of the part in progress are measured, and planned; of the step else."""
         view = self.view
         if view.span is not None:
             return view.span.taken, view.span.planned
@@ -575,7 +575,7 @@ class RunText:
         return [section("interlocks"), Grid(rows, Col(2), Col(7), Col(6), Col(grows=True))]
 
     def steps(self, rows: int) -> list[Lines | Text]:
-        """Return the step under way and those after it, when each starts and how long it takes."""
+        """Return the step in progress and those after it, their start and duration."""
         heading, starts_s = section("next steps", "starts in   takes"), 0.0
         steps: list[Sequence[Cell]] = []
         start, style, shape = "now", "$foreground", " " if self.view.at_rest else self.glyphs.moving
@@ -590,7 +590,7 @@ class RunText:
         return [heading, Grid(steps, *columns)]
 
     def _spans(self) -> list[tuple[str, float]]:
-        """Return the parts of the step under way, then one for each step after it, in words."""
+        """Return the parts of the step in progress, then one for each step after it, in words."""
         view = self.view
         plan = view.log.plan
         if plan is None:

@@ -306,8 +306,7 @@ def test_settings_are_compared_key_by_key(first: Log, records: list[Record]) -> 
 
 def test_other_grids_are_not_compared(first: Log, records: list[Record]) -> None:
     found = compare_runs(
-        first,
-        plan_with(records, lambda plan: plan["cell"]["grid"]["centre"].update(x_mm=1800.0)),
+        first, plan_with(records, lambda plan: plan["cell"]["grid"]["centre"].update(x_mm=1800.0))
     )
     assert of(found, "grid") == []
     assert found.moved_mm == {}
@@ -322,11 +321,7 @@ def test_an_unfinished_run_is_compared_as_far_as_it_is(first: Log, records: list
         assert ("engine" in notes) is not live
     found = compare_runs(first, cut)
     assert of(found, "validation") == []
-    assert {each.place for each in of(found, "frames")} == {
-        "base",
-        "station S1100",
-        "station S300",
-    }
+    assert {each.place for each in of(found, "frames")} == {"base", "station S1100", "station S300"}
     half = compare_runs(first, Log(r for r in records if r.key not in ("grid/0-0-0", "grid/2-2-2")))
     assert len(half.moved_mm) == 25
     assert half.drifted == []

@@ -84,10 +84,7 @@ def test_the_worst_come_first_with_both_values(tmp_path: Path) -> None:
     wanted = {"rank": "1", "target": "2\u00a0at\u00a0S300", "z mm": "970", "before mm": "2.000",
               "ez mm": "+0.400", "3-D mm": "0.400", "again mm": "0.200"}  # fmt: skip
     assert first.items() >= wanted.items()
-    assert [row[1] for row in found.texts()[1:3]] == [
-        "3\u00a0at\u00a0S300",
-        "3\u00a0at\u00a0S1100",
-    ]
+    assert [row[1] for row in found.texts()[1:3]] == ["3\u00a0at\u00a0S300", "3\u00a0at\u00a0S1100"]
     assert found.title == "The worst targets"
 
 

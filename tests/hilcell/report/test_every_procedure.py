@@ -38,7 +38,7 @@ def test_a_run_that_measured_nothing(
         "At a glance",
         *(["Frames"] if measured else []),
         "Record",
-        "Where each required item stands",
+        "Where each required item is",
     ]
     assert not {f"figure-{name}" for name in PARTS} & set(page.ids)
     assert "This run holds no result." in page.text

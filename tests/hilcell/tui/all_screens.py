@@ -31,13 +31,7 @@ from tests.hilcell.tui.recording_app import (
 )
 from tests.hilcell.tui.sample_runs import BEGAN, RUN, STEPS
 
-PAGES = {
-    "alarms": "e",
-    "interlocks": "i",
-    "log": "l",
-    "help": "question_mark",
-    "report": "o",
-}
+PAGES = {"alarms": "e", "interlocks": "i", "log": "l", "help": "question_mark", "report": "o"}
 QUESTIONS = {"pause": "space", "abort": "a", "quit": "ctrl+q", "retake": "r"}
 RUNS = [
     RunRow(

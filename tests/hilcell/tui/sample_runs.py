@@ -154,7 +154,7 @@ RESULT = {
             "before": FIGURES | {"mean": 1.2},
             "idw": FIGURES,
             "chosen": FIGURES,
-        },
+        }
     },
 }
 

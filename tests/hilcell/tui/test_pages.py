@@ -392,11 +392,7 @@ RECORD_TEXTS: list[tuple[str, Fact, str]] = [
     ),
     ("", events.OtherEvent("drift", {"off_mm": 0.1, "axis": 2}), "drift off_mm 0.1, axis 2"),
     ("", events.OtherEvent("drift seen", {}), "drift seen"),
-    (
-        "",
-        FOUND,
-        "curve of A2: 31.6 urad at 40.0, 20.0 urad at 203.5; lag 12.3 ms",
-    ),
+    ("", FOUND, "curve of A2: 31.6 urad at 40.0, 20.0 urad at 203.5; lag 12.3 ms"),
     ("", Ended(state="finished", exit=0), "finished, exit 0"),
 ]
 

@@ -402,9 +402,7 @@ def test_the_key_sends_the_codes_and_the_last_record_seen() -> None:
     async def act(app: Stage, pilot: Press) -> None:
         await press(pilot, "k")
         newest = run.records[-1].seq
-        assert app.recorded.asked == [
-            ("acknowledge", {"codes": ("HC-T99",), "until": newest}),
-        ]
+        assert app.recorded.asked == [("acknowledge", {"codes": ("HC-T99",), "until": newest})]
 
     run_app(act, update=RunUpdate(run.records, EngineState.ANSWERING))
 

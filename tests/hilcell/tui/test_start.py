@@ -109,9 +109,7 @@ def test_a_plan_of_earlier_fields_is_never_shown(monkeypatch: pytest.MonkeyPatch
     asyncio.run(run())
 
 
-def test_a_refused_plan_has_its_reasons_and_starts_nothing(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_refused_plan_has_its_reasons_and_starts_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     async def refuse(_: Order) -> process.DryRun:
         raise HilcellError("refused before anything moves\nvalidate: 3 targets out of reach")
 

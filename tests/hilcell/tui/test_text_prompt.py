@@ -135,7 +135,7 @@ def site(cell_name: str, wanted: str, done: str = "") -> Site:
     standing = {n.name: _xy(n.xyz_mm) for n in layout.fixed_nests}
     nests = slide if wanted in slide else standing
     return Site(
-        nests=nests, done=frozenset(filter(None, [done])), wanted=wanted, wanted_mm=nests[wanted],
+        nests=nests, done=frozenset(filter(None, [done])), asked=wanted, asked_mm=nests[wanted],
         robot_mm=_xy(base[:3, 3]), tracker_mm=_xy(cell.tracker.pose.matrix()[:3, 3]),
         along=layout.rail_direction[:2],
         stations={s.name: _xy(layout.nominal_base(s.rail_mm)[:3, 3]) for s in cell.station},
