@@ -58,7 +58,7 @@ DRILL = "Drill's offset"
 
 
 def target_uncertainty(log: Log) -> Uncertainty:
-    """Return the lines that a run proves, and those that its cell states."""
+    """Return the lines that a run measured, and those that its cell states."""
     if not visits_mm(log):
         return Uncertainty(missing=NO_VISITS)
     stated = log.cell.uncertainty

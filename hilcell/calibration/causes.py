@@ -3,7 +3,7 @@
 An axis that lost its zero moves them by its column of the Jacobian, a reflector that slipped by its
 orientation, an arm that grew by its reach. A suspicion is a hint, no verification.
 
-The tracker is proven by its own nests, so a pose that comes out elsewhere is the robot's, its
+The tracker is verified by its own nests, so a pose that differs is the robot's, its
 mount's or the slide's doing. Of N differences d with covariance C, ``d' C^-1 d`` is judged as
 3N F(3N, nu), nu the degrees of freedom of the repeatability, known at a few places and wider by its
 spread over the others, and what a cause of k parameters explains of it as k F(k, nu), the risk
@@ -110,7 +110,7 @@ class Differences(msgspec.Struct, frozen=True):
     freedom of its estimate. ``rail`` (3,) is the rail's direction in {B}, 0 without one.
 
     Of poses in the order of their first visits the first ones may have changed, and the others
-    been visited after the change: so many as one of ``firsts`` says.
+    been visited after the change: as many as one of ``firsts``.
     """
 
     difference_mm: Array

@@ -5,7 +5,7 @@ the base at the grid's station, and those of the slide at all stations. A reflec
 a prism with another offset, a tilted axis of the tracker or a base that was moved shows there and
 nowhere in the run itself: it is in all of its readings alike. So is a brake that slips at each of
 its stops, in what a visit of a place scatters by. So each is compared with what both runs state of
-it, and a person says which of both is right.
+it, and an operator decides which of both is right.
 
 Noise passes a limit in one of a thousand pairs of calibrations, all parameters together. Stated
 limits (drift, tracker, seating, hold, growth) are taken as such, and both are added in quadrature.

@@ -5,7 +5,7 @@ than the cell file puts the tool beside each target by as much, and no measureme
 it: we send joints. So each pose that the controller states at rest is compared with forward
 kinematics of the joints that it states with it.
 
-A maker that measures each arm in its factory and solves with what it found (Universal Robots) says
+A maker that measures each arm in its factory and solves with the result (Universal Robots) says
 so in its readings: there the pose may differ by millimetres, and programs go by joints.
 """
 

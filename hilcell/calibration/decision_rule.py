@@ -114,7 +114,7 @@ def judged(
 ) -> Judged:
     """Return the decision on mean and largest error, and on ``orientation`` by its limit.
 
-    ``also`` is the outcome of another test that must accept as well, ``words`` what it says.
+    ``also`` is the outcome of another test that must accept as well, ``words`` its text.
     """
     stated = Judged(
         holds=False,

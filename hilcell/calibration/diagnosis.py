@@ -378,7 +378,7 @@ def warm(log: Log) -> Suspicion | None:
 
 
 def misplaced_base(log: Log) -> Suspicion | None:
-    """Return a base that is not where the cell file says, with the cause that fits."""
+    """Return a base that is not at its place by the cell file, with the cause that fits."""
     cell = log.cell
     if not isinstance(log.frames.get("base"), MeasuredBase):
         return None
@@ -480,16 +480,16 @@ def established(log: Log, kind: str) -> Suspicion | None:
 def revisited(log: Log, kind: str) -> list[Point]:
     """Return the points of poses that were visited again, in the order of the first readings.
 
-    One whose first reading was replaced by a later one says nothing until it is visited once more.
+    One whose first reading was replaced by a later one counts only after another visit.
     """
     points = [point for point in log.select(kind) if _first(log, point) < log.recorded(point)]
     return sorted(points, key=lambda point: _first(log, point))
 
 
 def overtaken(log: Log, point: Point) -> bool:
-    """Whether something was measured after a pose was visited again that the visit is to prove.
+    """Whether something was measured after the visit of a pose that is to verify it.
 
-    At the end that is all but proofs, after the grid the pose's first reading.
+    At the end that is all but verifications, after the grid the pose's first reading.
     """
     if point.id.kind != CLOSING:
         return _first(log, point) > log.recorded(point)
@@ -580,7 +580,7 @@ def _of_targets(log: Log, fit: int) -> list[Suspicion]:
     for name in (station.name for station in log.cell.station):
         try:
             coverage = validated(calibration, log, name)
-        except NoBound:  # the report says why
+        except NoBound:  # the report states why
             return []
         if coverage is None:
             continue
@@ -654,7 +654,7 @@ def target_deviations(log: Log) -> Deviations | None:
     for name in (station.name for station in log.cell.station):
         try:
             validation = validated_bounds(calibration, log, name)
-        except NoBound:  # the report says why
+        except NoBound:  # the report states why
             return None
         if validation is None or len(validation[0]) < 2:
             continue

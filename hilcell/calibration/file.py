@@ -84,8 +84,8 @@ class Validity(msgspec.Struct, frozen=True):
 class LostMotion(msgspec.Struct, frozen=True):
     """The lost motion of axes 1 to 6 when they reverse, and 1 sigma of it, in rad.
 
-    An axis that arrives from above is lower by it than one that arrives from below. ``measured``
-    says that the run measured it, of axes 1 to 3.
+    An axis that arrives from above is lower by it than one that arrives from below. ``measured``:
+    the run measured it, of axes 1 to 3.
     """
 
     lost_rad: list[float]
@@ -236,7 +236,7 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def _seal(content: Json) -> str:
-    """Return SHA-256 over all but the seal: against damage, no proof of who wrote the file."""
+    """Return SHA-256 over all but the seal: against damage, no signature."""
     rest = {key: value for key, value in content.items() if key != SEAL}
     return hashlib.sha256(msgspec.json.encode(rest, order="sorted")).hexdigest()
 

@@ -107,7 +107,7 @@ class Uncertainty(msgspec.Struct, frozen=True):
 
     ``growth_per_k`` is the arm's, whose temperature is known only where targets are corrected;
     ``air_range_k`` is taken where no weather station measured. The model's residual rests on
-    ``model_samples`` poses that differ. ``missing`` says in words why no bound can be stated; then
+    ``model_samples`` poses that differ. ``missing`` is why no bound can be stated; then
     there are no lines.
     """
 

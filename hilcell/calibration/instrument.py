@@ -1,4 +1,4 @@
-"""Whether the instrument is right: its scale, its own axes, and the reflectors that it sees.
+"""Checks of the instrument: its scale, its axes, and its reflectors.
 
 A wrong scale (a weather station that lies), reflector or unit makes every point wrong, and all that
 is measured agrees with itself.
@@ -9,7 +9,7 @@ collimation c, the transit axis' tilt i, the index v of the vertical circle. A t
 what lies a metre lower by 0.05 mm against what lies level.
 
 In one nest all centres are at one place, as far as balls are round and centred: a reflector of
-another radius, or a longer prism, is seen elsewhere, along the beam mostly.
+another radius, or a longer prism, is measured elsewhere, along the beam mostly.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def scale(log: Log) -> Suspicion | None:
     return Suspicion(Cause.SCALE, worst.off_ppm, "ppm", f"known length {' to '.join(worst.nests)}")
 
 
-# -- axes: nests seen in both faces ----------------------------------------------------------------
+# -- axes: nests measured in both faces ------------------------------------------------------------
 
 TWO_FACES = FacesCompared.keys  # at the start, and at the end
 AXES = ("urad of collimation", "urad of the transit axis' tilt", "urad of the vertical index")
@@ -185,7 +185,7 @@ def _front(log: Log, back: Point) -> Point | None:
 
 
 def _own_mm(log: Log, points: Sequence[Point]) -> Array:
-    """Return places (N, 3) as the tracker saw them from its own set-up."""
+    """Return places (N, 3) as the tracker measured them from its own set-up."""
     first = log.matrix("world")
     own = [inverse(log.matrix(world_key(point.set_up))) @ first for point in points]
     rows = zip(own, positions_mm(points), strict=True)

@@ -1,7 +1,7 @@
-"""The calibration that a procedure uses: found, judged before anything moves, kept in its journal.
+"""The calibration that a procedure uses: lookup, checks before any motion, its journal.
 
 The file is named in the cell's table of the procedure, and its content journalled when the run
-begins: the result is computed from the journal alone, also after the file is gone.
+begins: the result is computed from the journal alone, also after the file was deleted.
 
 Points of such a run are in the calibration's {B}, with the noise of that visit: that of the
 calibration's budget, lines that differ from point to point, and frames, which move all points of
@@ -51,7 +51,7 @@ class NoCalibration(HilcellError):
 
 @dataclass(frozen=True)
 class CalibrationFile:
-    """A calibration as read from its file, and what the journal of the run that wrote it says.
+    """A calibration as read from its file, and its status by the journal of the run that wrote it.
 
     The run of a file that lies alone is looked for in ``runs``.
     """

@@ -1,4 +1,4 @@
-"""The uncertainty budget of a measured position error, with proven and assumed contributions.
+"""The uncertainty budget of a measured position error, with measured and assumed contributions.
 
 After the GUM (JCGM 100:2008) they are combined and expanded. Every figure is for **one coordinate**
 of a position, in mm, as the tracker states it. Where all three have the same u, 95 % of 3D errors

@@ -224,7 +224,7 @@ def moved_on_flange_mm(log: Log) -> float:
 
 
 def _apart_mm(log: Log, points: Sequence[Point]) -> Array:
-    """Return the distances (N, D) between each two reflectors at poses where all were seen."""
+    """Return the distances (N, D) between each two reflectors at poses where all were measured."""
     numbers = range(1, len(log.cell.robot.seats_mm) + 1)
     each = [[log.find(point.id.at_seat(n)) for n in numbers] for point in points]
     known = [[seat for seat in seats if seat is not None] for seats in each]

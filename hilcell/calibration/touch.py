@@ -2,7 +2,7 @@
 
 The strip lets a slide come back only within its tolerance, and the station frame carries the noise
 of its nests. So the robot carries its reflector to a few corrected poses; how far it lands from
-where the station frame expects it says where the base is now.
+where the station frame expects it gives the present base.
 
 A target's place in {W} is not moved by this, only the command is (`Frames.base_in_world`): were it,
 an error of the base would cancel in every figure that judges it.

@@ -1,7 +1,7 @@
 """The identified robot as a model of errors: nominal joints in, what its kinematics then miss.
 
-The curves of axis sweeps are used only where they predict static poses better that no sweep saw:
-with a wrong abscissa they make a calibration worse than none.
+The curves of axis sweeps are used only where they predict static poses better that no sweep
+covered: with a wrong abscissa they make a calibration worse than none.
 """
 
 from __future__ import annotations

@@ -149,7 +149,7 @@ class ErrorModel(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class LearntModel(ABC):
-    """A model that is learnt from measured poses, judged, chosen and kept in a calibration file.
+    """A model that is learnt from measured poses, judged, chosen and stored in a calibration file.
 
     A subclass is a frozen dataclass of arrays in `hilcell.compensation.model_choice.MODELS`;
     ``text`` is its description in a report. ``any_orientation``: it is valid for other orientations

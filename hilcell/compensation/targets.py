@@ -262,7 +262,7 @@ def read_named_rows(
 ) -> NamedRows:
     """Return the rows of a CSV that has one of ``headers``: a name, then numbers.
 
-    ``fault_of`` says in words what is wrong with finite values, or nothing. Raises
+    ``fault_of`` gives the fault of finite values, or "". Raises
     `SettingsError` with every problem and its line, and `CorrectedBefore`.
     """
     text = CsvText.read(path, content, labels=1)

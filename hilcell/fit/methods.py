@@ -106,7 +106,7 @@ class FitResult(TypedDict):
     """The output of ``fit --json``; ``train`` and ``test`` count rows learnt from and judged.
 
     ``methods`` has the figures of what each leaves, distances of predicted from measured positions;
-    ``refused`` says why others could not be learnt; ``coverage`` is empty without test rows, and
+    ``refused`` gives why others could not be learnt; ``coverage`` is empty without test rows, and
     ``coverage95``, its share of the chosen method, None. ``model`` is None where no robot was
     identified.
     """
@@ -173,7 +173,7 @@ class AtPoints:
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Rows by pose and reflector: ``at`` (N, 2) says the place of each row in the readings."""
+    """Rows by pose and reflector: ``at`` (N, 2) is the place of each row in the readings."""
 
     readings: Readings
     at: Ints

@@ -506,7 +506,7 @@ def _dh_row(point_mm: Array, along: Array) -> tuple[float, float, float, float, 
 
 
 def _seen_along(theta: float, vector: Array) -> tuple[float, float, float]:
-    """Return a vector (3,) as a frame sees it that is turned about z by ``theta``."""
+    """Return a vector (3,) in a frame that is rotated about z by ``theta``."""
     c, s = np.cos(theta), np.sin(theta)
     x, y, z = vector
     return float(c * x + s * y), float(c * y - s * x), float(z)

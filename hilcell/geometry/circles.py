@@ -75,7 +75,7 @@ class Circle:
 def fit_circle(points_mm: ArrayLike, turn: float = 1.0) -> Circle:
     """Fit a circle to N >= 3 points (N, 3) by least squares of their distances from it.
 
-    ``turn`` > 0 says that the points run counter-clockwise about the axis, seen from its
+    ``turn`` > 0: the points run counter-clockwise about the axis, seen from its
     tip (steps below half a turn); < 0 clockwise. Raises `FrameError` on non-finite or collinear
     points and where the fit does not settle.
     """

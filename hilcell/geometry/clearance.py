@@ -113,7 +113,7 @@ def clearance_mm(
 ) -> Array:
     """Return the clearances (N, C, V) of capsules with ends (N, C, 2, 3) from boxes.
 
-    ``shift_mm`` (N, V, 3) is how far each box sees the capsules moved, its axes.
+    ``shift_mm`` (N, V, 3) is the motion of the capsules against each box, its axes.
     Negative where they overlap, down to the radius. Where a sphere around the capsule proves that
     there are ``enough_mm`` (N, C), the sphere's clearance is returned.
     """

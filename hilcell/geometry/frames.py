@@ -118,7 +118,7 @@ def point_variance_mm2(T: Array, covariance: Array, point_mm: Array) -> float:
 
 
 def orientations(places_mm: Array, seen_mm: Array) -> Array:
-    """Return the rotations (N, 3, 3) of a body whose points (K, 3) are seen at (N, K, 3).
+    """Return the rotations (N, 3, 3) of a body whose points (K, 3) are measured at (N, K, 3).
 
     By least squares (Arun, Huang, Blostein 1987); K >= 3 points that lie on no line.
     """
@@ -134,7 +134,7 @@ def rotation_levers(places_mm: Array, rotations: Array) -> Array:
     """Return by how much a displacement of each point turns the body, (N, K, 3, 3) in rad / mm.
 
     The body's points (K, 3) are turned by rotations (N, 3, 3): the derivative of `orientations`,
-    as a rotation vector in the frame in which they are seen.
+    as a rotation vector in the frame in which they are measured.
     """
     places = places_mm - places_mm.mean(axis=0)
     levers = cross_matrix(np.einsum("nij,kj->nki", rotations, places))

@@ -31,7 +31,7 @@ def link_errors(arm: Arm) -> Array:
     `KINDS`. With eq 2: d = (da, a cos(alpha) dtheta + sin(alpha) dd, -a sin(alpha) dtheta +
     cos(alpha) dd) and delta = (dalpha, sin(alpha) dtheta, cos(alpha) dtheta), before Hayati's
     Rot(y, beta), which turns both into its frame and adds dbeta about y. The joint angles do not
-    matter here: seen from {i}, a turn of joint i comes before the whole link.
+    matter here: in {i}, a rotation of joint i comes before the whole link.
     """
     ca, sa = np.cos(arm.alpha_rad), np.sin(arm.alpha_rad)
     errors = np.zeros((6, 6, 5))

@@ -62,7 +62,7 @@ class SweepStream:
             )
 
     def joint_line(self, axis: int, angle_rad: Array) -> tuple[float, float, float, float]:
-        """Return the line through the axis's readings at the constant speed that was seen.
+        """Return the line through the axis's readings at the constant speed of the sweep.
 
         A time in the cell's, the joint then, its speed, and the standard uncertainty of the time.
         """
@@ -140,8 +140,8 @@ class Motion:
     """The part at constant speed: N samples in order of time.
 
     ``joint_rad`` (N,) is where the controller's readings have the axis at each sample, but for the
-    lag; ``error_rad`` (N,) by how much more the tracker sees it turned. ``clock_s`` is the standard
-    uncertainty of the relation between both clocks, apart from its lag.
+    lag; ``error_rad`` (N,) by how much more it is rotated by the tracker. ``clock_s`` is the
+    standard uncertainty of the relation between both clocks, apart from its lag.
     """
 
     joint_rad: Array

@@ -261,9 +261,9 @@ class Readings(msgspec.Struct, frozen=True, omit_defaults=True):
 class Point(msgspec.Struct, frozen=True, kw_only=True):
     """One acknowledged measurement, raw, with all that is needed to use it later.
 
-    ``xyz_mm`` is the mean of ``samples``, as seen from the tracker's first set-up, ``nominal_mm``
-    the nominal target in {W} and ``nominal_deg`` its angles A, B, C, where the orientation was
-    measured; joints in deg. Its record also says the controller's pose.
+    ``xyz_mm`` is the mean of ``samples``, in the frame of the tracker's first set-up,
+    ``nominal_mm`` the nominal target in {W} and ``nominal_deg`` its angles A, B, C, where the
+    orientation was measured; joints in deg. Its record also has the controller's pose.
     """
 
     id: PointId

@@ -278,7 +278,7 @@ class CurvesUsed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Fitted(Verdict, frozen=True, kw_only=True, omit_defaults=True):
     """The error model that was chosen, by cross-validation: mean, p95 and max (mm) of each.
 
-    ``orientation`` says what becomes of the tool's orientation, where that was measured.
+    ``orientation`` is the use of the tool's orientation, where that was measured.
     """
 
     keys: ClassVar[tuple[str, ...]] = ("fit",)
@@ -510,7 +510,7 @@ class Faces(msgspec.Struct, frozen=True):
 
 
 class FacesCompared(Verdict, frozen=True, kw_only=True):
-    """Nests seen in both faces of the tracker."""
+    """Nests measured in both faces of the tracker."""
 
     keys: ClassVar[tuple[str, ...]] = ("two-face", "two-face.closing")
     title: ClassVar[str] = "both faces of the tracker"

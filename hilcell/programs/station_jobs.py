@@ -1,6 +1,6 @@
 """Holes, corrected: for each station a list and a program, and a drilling sheet for all of them.
 
-The sheet says which station, which program, which holes, under which conditions. It is one HTML
+The sheet states which station, which program, which holes, under which conditions. It is one HTML
 file that opens offline, needs no script and prints on A4.
 """
 
@@ -256,7 +256,7 @@ class StationJobs:
 
     @property
     def standoff_remarks(self) -> list[str]:
-        """Return in words how far off the tip is kept, on which side, and how deep points are."""
+        """Return stand-off and side of the tip, and the depth of points."""
         off = f"stand-off {self.standoff_mm:g} mm along the outward normal"
         side = "assumed side: the part lies behind each hole, where z of the tool points"
         return [

@@ -51,7 +51,7 @@ class TargetFiles:
     """Corrected targets, to be written as the list or the ``program`` at ``source`` states them.
 
     ``positions`` (N, 3), or poses (N, 6), are those of the program, ``header`` and ``rows`` of the
-    list; ``frame`` says in words what they are taken in.
+    list; ``frame`` names their frame.
     """
 
     source: Path
