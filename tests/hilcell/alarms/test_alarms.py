@@ -137,7 +137,7 @@ def test_a_fault_has_its_code_place_and_next_step() -> None:
     assert RUN in alarm.do[-1]
 
 
-@pytest.mark.parametrize(("act", "step"), [("feed it", "Feed it."), ("", "Look at the drive")])
+@pytest.mark.parametrize(("act", "step"), [("feed it", "Feed it."), ("", "Check the drive")])
 def test_a_code_of_no_list_is_the_device_s_general_alarm_with_its_own_advice(
     act: str, step: str
 ) -> None:
