@@ -1,8 +1,8 @@
-"""Are the cell's drivers true to their ports? Every promise is judged on a device, one line each.
+"""Conformance of the cell's drivers to their ports: each promise is tested on a device.
 
-A simulated cell has a simulated device of its own for each driver on trial, behind wires that fail
-on demand; the run's devices rest meanwhile. On a real one only promises that need no fault are
-judged, by the run's own guarded motions, each of which waits for the operator.
+In a simulated cell each driver has a simulated device of its own, behind wires that fail on demand,
+while the run's devices are at rest. On real devices only promises without faults are tested, by the
+run's guarded motions, each confirmed by the operator.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from procedures.world_frame import Home
 NAME = "conformance"
 
 
-# -- real devices on trial: the run's own, moved by its guarded motions, each after a word ---------
+# -- real devices: moved by the run's guarded motions, each confirmed by the operator --------------
 
 
 class GuardedBench(Bench):
@@ -53,7 +53,6 @@ class GuardedBench(Bench):
         self._session = session
 
     def connected(self) -> GuardedRail | GuardedRobot | GuardedTracker:
-        """Return the device, connected as it is."""
         if self.port == "rail":
             return GuardedRail(self._session)
         if self.port == "robot":
@@ -63,18 +62,18 @@ class GuardedBench(Bench):
 
 
 class GuardedRail:
-    """The slide, as far as promises on real devices use it."""
+    """The slide for promises on real devices."""
 
     def __init__(self, session: CellSession) -> None:
         self._session = session
 
     def home(self) -> None:
-        """Do nothing: the run has found the reference."""
+        """Do nothing: the run has referenced the drive."""
 
     def move_to(self, position_mm: float) -> None:
-        """Move after the operator's word."""
+        """Move after the operator's confirmation."""
         cell, now_mm = self._session.cell, self.read().position_mm
-        _agreed(
+        _confirm(
             self._session,
             f"rail ({cell.rail.driver}): the slide moves from {now_mm:.2f} to {position_mm:.2f} mm "
             f"at {cell.rail.speed_mm_s:g} mm/s; the robot goes to its safe pose first",
@@ -82,7 +81,6 @@ class GuardedRail:
         self._session.rail_to(position_mm)
 
     def settle(self) -> RailReading:
-        """Return a reading at rest."""
         return self._session.devices.rail.settle()
 
     def read(self) -> RailReading:
@@ -90,17 +88,17 @@ class GuardedRail:
 
 
 class GuardedRobot:
-    """The robot, as far as promises on real devices use it."""
+    """The robot for promises on real devices."""
 
     def __init__(self, session: CellSession) -> None:
         self._session = session
 
     def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
-        """Move after the operator's word, at the cell's speed, which is slow."""
+        """Move after the operator's confirmation, at most at the cell's speed."""
         cell = self._session.cell
         percent = min(speed_percent, cell.robot.speed_percent)
         turns = _turns(self.read().joints_rad, joints_rad)
-        _agreed(
+        _confirm(
             self._session,
             f"robot ({cell.robot.driver}): {turns} at {percent:g} % or less, every axis from "
             f"{cell.robot.approach_deg:g} deg below",
@@ -117,7 +115,7 @@ class GuardedTracker:
     def __init__(self, session: CellSession) -> None:
         self._session = session
         if session.cell.layout.by_hand:
-            raise NeedsPerson("one reflector is carried by hand: nests stand empty")
+            raise NeedsPerson("one reflector is carried by hand: nests are empty")
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         return self._session.devices.tracker.measure(near_mm, reflector, samples)
@@ -133,7 +131,7 @@ class GuardedStreams(GuardedTracker):
 
 
 class GuardedHome(Home):
-    """The way to safe pose and reference: real devices set out after the operator's word."""
+    """Safe pose and reference; real devices move after the operator's confirmation."""
 
     def home_rail(self, session: CellSession) -> None:
         """Announce both motions, and make them; an unattended run makes them as any run."""
@@ -146,7 +144,7 @@ class GuardedHome(Home):
                 now_mm = session.devices.rail.read().position_mm
                 what += f"; then rail ({cell.rail.driver}): the slide moves from {now_mm:.2f} mm "
                 what += "to its reference switch"
-            _agreed(session, what)
+            _confirm(session, what)
         super().home_rail(session)
 
 
@@ -158,13 +156,13 @@ def _turns(now_rad: Array, to_rad: Array) -> str:
         for axis, (now, to) in enumerate(zip(now_deg, to_deg, strict=True), start=1)
         if not abs(to - now) <= stands_deg
     ]
-    return ", ".join(turns) or "all axes turn to where they stand"
+    return ", ".join(turns) or "all axes move to their present angles"
 
 
-def _agreed(session: CellSession, what: str) -> None:
-    """Announce a motion and pause before it; an unattended run has nobody who agrees."""
+def _confirm(session: CellSession, what: str) -> None:
+    """Announce a motion and pause before it; raises `NeedsPerson` in an unattended run."""
     if session.log.inputs.unattended:
-        raise NeedsPerson(f"{what}: somebody has to agree; run it attended")
+        raise NeedsPerson(f"{what}: an operator must confirm; run it attended")
     session.add(Announced(motion=what))
     session.pause(
         f'conformance: {what}; clear the cell, stay at the E-stop, then type "yes" at '

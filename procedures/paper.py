@@ -117,11 +117,11 @@ class Compared:
         return self.result.validation[own if where == "reference" else where]
 
     def mean(self, where: Where, how: Sent) -> float:
-        """Return the mean error of targets that were sent in one way."""
+        """Return the mean error of one series of targets."""
         return self.place(where).sent[how].mean
 
     def largest(self, how: Sent) -> float:
-        """Return the largest error of targets at the grid's station that were sent in one way."""
+        """Return the largest error of one series of targets at the grid's station."""
         return self.place("reference").sent[how].max
 
     def reduction(self, where: Where, how: Sent = Sent.IDW) -> float:
@@ -167,7 +167,7 @@ class Compared:
         return float(np.quantile(by_chance, SURE)), math.inf
 
     def interpolation_off_mm(self) -> float:
-        """Return how far the commands sent are from eqs 9-10 as they stand in the paper (mm).
+        """Return how far the commands sent are from eqs 9-10 as printed in the paper (mm).
 
         P_cmd = P - e(P_cmd) in two steps, where e is worked out here from the 8 vertices within a
         pitch. Two steps, not the limit: at a face between cells e jumps (0.1 mm is common), so that
@@ -375,10 +375,10 @@ class Compared:
         bases = [cell.layout.nominal_base(station.rail_mm) for station in cell.station]
         ok = np.column_stack([robot.reachable(inverse(base) @ poses) for base in bases])
         range_mm = np.linalg.norm(points_mm - tracker.pose.matrix()[:3, 3], axis=1)
-        seen = (range_mm >= tracker.min_range_mm + tracker.find_radius_mm) & (
+        visible = (range_mm >= tracker.min_range_mm + tracker.find_radius_mm) & (
             range_mm <= tracker.max_range_mm - tracker.find_radius_mm
         )
-        served: NDArray[np.bool_] = ok & seen[:, None]
+        served: NDArray[np.bool_] = ok & visible[:, None]
         return served
 
 
@@ -443,7 +443,7 @@ def criterion(low: float, high: float) -> str:
 
 
 def by_cell(name: str, paper: float, here: Figure) -> Row:
-    """Return a row whose count stands in the cell file."""
+    """Return a row whose count is in the cell file."""
     return Row(name, paper, "", here, (paper, paper), set_by="cell file")
 
 

@@ -38,7 +38,7 @@ class Finding:
     device: str
     operation: str
     found: str
-    wanted: str = ""
+    expected: str = ""
     act: str = ""
     at: Record | Change | None = None
     severity: Severity | None = None
@@ -52,7 +52,7 @@ class Finding:
     @property
     def text(self) -> str:
         """Return actual and expected value, as one line."""
-        expected = f", expected {line(self.wanted)}" if self.wanted else ""
+        expected = f", expected {line(self.expected)}" if self.expected else ""
         return line(self.found) + expected
 
     @property
@@ -107,9 +107,9 @@ def findings_of(error: Json) -> list[Finding]:
     """Return the findings of an error; devices that failed together have one each."""
     if causes := error.get("causes"):
         return [finding for cause in causes for finding in findings_of(cause)]
-    parts = ("code", "device", "operation", "found", "wanted", "act")
-    code, device, operation, found, wanted, act = (str(error.get(name, "")) for name in parts)
-    return [Finding(code, device, operation, found, wanted, act)]
+    names = ("code", "device", "operation", "found", "wanted", "act")
+    code, device, operation, found, expected, act = (str(error.get(name, "")) for name in names)
+    return [Finding(code, device, operation, found, expected, act)]
 
 
 DRIFT_LIMIT_K = 2.0
@@ -190,8 +190,8 @@ class _Raised:
             off_k = now_c - first_c
             if not abs(off_k) <= DRIFT_LIMIT_K:
                 found = f"{now_c:.1f} C at {key}, {off_k:+z.1f} K from the start"
-                wanted = f"within {DRIFT_LIMIT_K:.0f} K"
-                yield Finding("HC-V04", "Cell", "temperature", found, wanted)
+                expected = f"within {DRIFT_LIMIT_K:.0f} K"
+                yield Finding("HC-V04", "Cell", "temperature", found, expected)
                 return
 
     def verdicts(self) -> Iterator[Finding]:

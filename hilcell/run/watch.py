@@ -478,9 +478,9 @@ class Watch(Meter):
         return Verification(float(np.linalg.norm(reading.xyz_mm - near_mm)), "", reading.taken_s)
 
     @staticmethod
-    def _moved(found: str, wanted: str, act: str, fields: Mapping[str, object]) -> DeviceError:
+    def _moved(found: str, expected: str, act: str, fields: Mapping[str, object]) -> DeviceError:
         return DeviceError(
-            "HC-T33", "Tracker", "control points", found, expected=wanted, act=act, fields=fields
+            "HC-T33", "Tracker", "control points", found, expected=expected, act=act, fields=fields
         )
 
     def _nest_ids(self, set_up: int) -> list[PointId]:
@@ -568,9 +568,9 @@ def check_distances(cell: Cell, measured_mm: Array) -> None:
 
 
 def wrong_distances(
-    cell: Cell, wanted_mm: Array, found_mm: Array, limits_mm: Array | float
+    cell: Cell, expected_mm: Array, measured_mm: Array, limits_mm: Array | float
 ) -> Iterator[WrongDistance]:
-    """Yield the pairs of floor nests whose distance is not that of ``wanted_mm`` (N, 3).
+    """Yield the pairs of floor nests whose distance differs from ``expected_mm`` (N, 3).
 
     ``limits_mm`` is one for all, or (N, N).
     """
@@ -579,7 +579,7 @@ def wrong_distances(
     for pair in combinations(range(len(names)), 2):
         then, now = (
             float(np.linalg.norm(at_mm[pair[0]] - at_mm[pair[1]]))
-            for at_mm in (wanted_mm, found_mm)
+            for at_mm in (expected_mm, measured_mm)
         )
         limit_mm = float(each_mm[pair])
         if not abs(now - then) <= limit_mm:
