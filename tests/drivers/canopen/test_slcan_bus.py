@@ -230,6 +230,11 @@ class SerialLine:
                 self.heard += data
 
 
+@pytest.fixture
+def line(mute: None) -> SerialLine:
+    return SerialLine()
+
+
 def jam(line: SerialLine) -> int:
     """Send until the port takes no more, part of the last line at most; return how many lines."""
     for count in range(10_000):
@@ -241,19 +246,17 @@ def jam(line: SerialLine) -> int:
     raise AssertionError("the port takes everything")
 
 
-@pytest.mark.usefixtures("mute")
-def test_a_complete_write_is_never_too_late(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_complete_write_is_never_too_late(
+    line: SerialLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(slcan_bus.SlcanBus, "SEND_S", 1e-9)
-    line = SerialLine()
     line.bus.send(frame(0x123))
     line.read_on()
     line.close()
     assert line.heard == b"\rC\rS6\rO\rt1238" + b"0" * 16 + b"\rC\r"
 
 
-@pytest.mark.usefixtures("mute")
-def test_lines_never_mix_and_a_stop_gets_out_behind_writers_that_hang() -> None:
-    line = SerialLine()
+def test_lines_never_mix_and_a_stop_gets_out_behind_writers_that_hang(line: SerialLine) -> None:
     jammed = jam(line)
     writers = [
         threading.Thread(target=line.bus.send, args=(frame(0x200 + n), PATIENT_S)) for n in range(3)
@@ -274,9 +277,7 @@ def test_lines_never_mix_and_a_stop_gets_out_behind_writers_that_hang() -> None:
     ]
 
 
-@pytest.mark.usefixtures("mute")
-def test_a_port_that_takes_nothing_is_an_error_in_time() -> None:
-    line = SerialLine()
+def test_a_port_that_takes_nothing_is_an_error_in_time(line: SerialLine) -> None:
     jam(line)
     with pytest.raises(can.CanOperationError):
         line.bus.send(frame(0x205))
@@ -284,12 +285,11 @@ def test_a_port_that_takes_nothing_is_an_error_in_time() -> None:
     line.close()
 
 
-@pytest.mark.usefixtures("mute")
 def test_a_port_that_is_closed_under_a_writer_is_an_error_of_the_bus(
-    monkeypatch: pytest.MonkeyPatch,
+    line: SerialLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A jammed writer waits for the port while another thread closes it."""
-    line, wait = SerialLine(), select.select
+    wait = select.select
     jam(line)
 
     def closed(reading: list[int], writing: list[int], failing: list[int], wait_s: float) -> object:
@@ -305,9 +305,9 @@ def test_a_port_that_is_closed_under_a_writer_is_an_error_of_the_bus(
     line.join()
 
 
-@pytest.mark.usefixtures("mute")
-def test_a_bus_that_was_shut_down_writes_to_no_file_that_has_its_number_now() -> None:
-    line = SerialLine()
+def test_a_bus_that_was_shut_down_writes_to_no_file_that_has_its_number_now(
+    line: SerialLine,
+) -> None:
     line.read_on()
     number = line.bus._port
     line.close()
