@@ -104,6 +104,7 @@ class Drive:
             cia.error_alarm(code),
             operation,
             f"{found}, {text}",
+            act="put the cause right, then resume",
             state=state.value,
             error_code=code,
         )

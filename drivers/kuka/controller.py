@@ -233,7 +233,8 @@ HEALTH: dict[str, tuple[tuple[str | bool, ...], str]] = {
 def refused_motion(error: int) -> DeviceError:
     """Return the error for HC_ERR of a motion."""
     text, code = ERRORS.get(error, ("unknown", "HC-B20"))
-    return ROBOT.failed(code, "move", f"HC_ERR {error}: {text}", error=error)
+    found, act = f"HC_ERR {error}: {text}", "read the panel, then resume"
+    return ROBOT.failed(code, "move", found, act=act, error=error)
 
 
 def frame_text(values: tuple[float, ...] | list[float]) -> str:

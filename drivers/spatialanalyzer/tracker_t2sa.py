@@ -69,6 +69,7 @@ CODES = {
     347: ("HC-T70", "no such instrument in the job"),
 }
 UNKNOWN = ("HC-T24", "not known")
+ACT = "check SpatialAnalyzer and the tracker, then resume"
 
 Word = Annotated[str, Meta(max_length=60, pattern=r"^[^;:\x00-\x1f\x7f]*$")]
 
@@ -249,7 +250,7 @@ class T2saTracker:
             alarm = "HC-T21" if reply.accepted else CODES.get(reply.code, UNKNOWN)[0]
             found = f"state {reply.text!r} for {limit_s:.1f} s"
             raise TRACKER.failed(
-                alarm, "connect", found, expected=repr(READY[0]), status=reply.code
+                alarm, "connect", found, expected=repr(READY[0]), act=ACT, status=reply.code
             )
         return reply.text
 
@@ -294,7 +295,7 @@ class T2saTracker:
         if "LON" not in state:
             code = "HC-T19" if "WARM" in state else "HC-T70"
             found, operation = f"state {state!r}", "switch the laser on"
-            raise TRACKER.failed(code, operation, found, expected="LON", state=state)
+            raise TRACKER.failed(code, operation, found, expected="LON", act=ACT, state=state)
 
     def _compare(self, points: NamedPoints) -> None:
         """Refuse a job whose points are not those of the list, by some of them."""

@@ -296,7 +296,8 @@ class UrRtdeRobot:
                 self._check_health(state)
                 code, text = ERRORS.get(state.error, ("HC-B20", "unknown"))
                 found = f"error {state.error} of the script: {text}"
-                raise ROBOT.failed(code, "move", found, error=state.error)
+                act = "read the panel, then resume"
+                raise ROBOT.failed(code, "move", found, act=act, error=state.error)
             self.check_state(state)
         return states[-1].acknowledged == number
 
