@@ -232,7 +232,7 @@ class _Raised:
         for record in self.session:
             match record.fact:
                 case events.OutlierRemeasured(key=key):
-                    found = f"{key} differs from its neighbours and was re-measured"
+                    found = f"{key} stands out from its neighbours and was measured again"
                     yield _cell("HC-V05", "outlier", found, record)
                 case events.CurveMeasured(holds=False) as sweep:
                     found = f"A{sweep.axis}: {sweep.reason}"
