@@ -51,7 +51,7 @@ class Dither:
 
     One step a SYNC. Every second step is zero, and the others alternate in sign, so the median of
     any five consecutive steps is zero: a run gives the same figures however often a slow PC polls
-    (decision 6).
+    (decision 4).
     """
 
     STEPS = 240

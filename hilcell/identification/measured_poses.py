@@ -7,7 +7,7 @@ short waves of gears that no parameter describes). One that is zero is absent an
 
 Several reflectors are not described by noise of the joints alone: where the wrist is nearly
 singular it claims that the robot cannot miss in some direction, and the few poses there outweigh
-all others (two real robots, `docs/decisions/0015-kinematic-identification.md`).
+all others (two real robots, `docs/decisions/0010-kinematic-identification.md`).
 """
 
 from __future__ import annotations
