@@ -258,7 +258,7 @@ class RecordedClock:
     """
 
     def __init__(self, looks: ClockReadings, time: EventTime, stop: Event, act: str) -> None:
-        """``act`` is what to do where the recording ends."""
+        """``act`` is the advice at the end of the recording."""
         self._looks, self._time, self._stop, self._act = looks, time, stop, act
         self.now_s, self.pc_s = looks.now_s, CountedTime().now_s
 

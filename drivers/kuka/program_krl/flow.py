@@ -1,6 +1,6 @@
 """Every path that a KRL program may take, and what a motion keeps from the motion before it.
 
-A state is what a statement leaves to those after it, such as the place of the slide. The program is
+A state is passed from a statement to those after it, such as the place of the slide. The program is
 followed through branches, loops, jumps and its own subprograms; conditions are not judged, so that
 a path may be followed that is never taken. Subprograms of interrupts and triggers may run after any
 statement.
