@@ -1,6 +1,6 @@
-"""Faults for practice: in plain words, each with the alarm that a run raises for it.
+"""Training exercises: faults in plain words, each with the alarm that a run usually raises.
 
-Where a fault shows depends on what the run does next; the alarm is the usual one.
+The alarm may differ: it depends on what the run does next.
 ``python -m fakes.exercises`` writes the manual's page of them, and of all faults on demand.
 """
 
@@ -18,7 +18,7 @@ from hilcell.ports import Exercise
 
 @dataclass(frozen=True, slots=True)
 class FaultExercise(Exercise):
-    """An exercise by one fault of the simulated cell, which strikes ``count`` times."""
+    """An exercise by one fault of the simulated cell, injected ``count`` times."""
 
     fault: str
     value: Value = True
@@ -30,9 +30,9 @@ def _lasting(title: str, alarm: str, fault: str, value: Value = True) -> FaultEx
 
 
 EXERCISES: Sequence[FaultExercise] = (
-    _lasting("somebody stands in the tracker's beam", "HC-T10", "tracker.beam_break_after"),
+    _lasting("the tracker's beam is blocked", "HC-T10", "tracker.beam_break_after"),
     _lasting("a reflector has fallen out of its nest", "HC-T11", "tracker.no_reflector"),
-    _lasting("a reflector is dirty, or something shakes it", "HC-T15", "tracker.noisy", 1.0),
+    _lasting("a reflector is dirty or vibrates", "HC-T15", "tracker.noisy", 1.0),
     _lasting("the weather station is unplugged", "HC-T05", "tracker.no_weather"),
     _lasting("the tracker has not warmed up", "HC-T19", "tracker.not_warmed_up"),
     FaultExercise("the tracker's network cable was pulled", "HC-T02", "tracker.eof"),
@@ -44,15 +44,15 @@ EXERCISES: Sequence[FaultExercise] = (
     FaultExercise("the robot's network cable was pulled", "HC-B02", "robot.idle_close"),
     FaultExercise("the slide has run onto its limit switch", "HC-R32", "rail.limit_switch", -1),
     FaultExercise("the drive draws too much current", "HC-R21", "rail.fault", 0x2310),
-    FaultExercise("the drive's supply has blinked", "HC-R03", "rail.node_reset", 5),
+    FaultExercise("the drive's supply was interrupted", "HC-R03", "rail.node_reset", 5),
     FaultExercise("the CAN gateway's plug was pulled", "HC-R01", "rail.eof"),
-    FaultExercise("somebody has pushed the held slide", "HC-S05", "rail.pushed", 30.0),
+    FaultExercise("the held slide was pushed", "HC-S05", "rail.pushed", 30.0),
     _lasting("the strip's head has lost its strip", "HC-S01", "rail.missing_magnet"),
 )
 
 
 def cell_exercises(cell: Cell) -> Sequence[FaultExercise]:
-    """Return the faults to practise on in a cell: none of a rail, or a bus, that it lacks."""
+    """Return the exercises of a cell: none of a rail, or a bus, that it lacks."""
     lacks: tuple[str, ...] = () if cell.has_rail else ("rail.",)
     on_the_bus = ("rail.limit_switch", "rail.fault", "rail.node_reset", "rail.eof")
     if cell.rail.driver == RAIL_DRIVER:
@@ -86,14 +86,14 @@ PAGE = """# Training, and faults on demand
 ```toml
 [[fault]]
 name = "rail.emcy"
-value = 0x7305  # without one the fault has its usual value
+value = 0x7305  # omitted: the fault's default
 after = 2       # occasions that pass first
 count = 1       # number of injections; 0: until it is cleared
-at_rest = false # true: a fault that waits for a motion is injected at rest, too
+at_rest = false # true: a fault that waits for a motion is also injected at rest
 ```
 
-Each name with its effect (value), below the device and occasion of its injection. Values are
-numbers, or text where the name has a *.
+Names and effects (values), grouped by device and occasion. Values are numbers, or text for names
+marked *.
 
 | name | effect |
 |---|---|

@@ -1,13 +1,13 @@
 """A whole simulated cell in one process: its physics, simulated devices, control channel.
 
 ``python -m fakes.host`` serves one: the first line on stdin is the order (JSON), the first line on
-stdout says where everything listens. It lives until stdin ends, so it never outlives its parent.
+stdout says where everything listens. It exits when stdin ends, so it never outlives its parent.
 
 On the control channel ``{"do": "addresses" | "now" | "wait" | "fault" | "clear" | "truth" | "seat"
 | "quit", ...}`` is answered by ``{"ok": true, ...}`` or ``{"ok": false, "error": ...}``. The engine
-uses it for time alone; faults and truth are for tests, and truth is answered only by a cell that
-was started with it; ``seat`` is the person who carries the reflector. Nothing of this reaches a
-device's wire.
+uses it only for time; faults and truth are for tests, and truth is answered only by a cell started
+with it; ``seat`` places the reflector that an operator would carry. No device's wire shows any of
+this.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A simulated cell inside the engine's own process: its devices without wires, in event time.
+"""A simulated cell inside the engine's own process: devices without wires, in event time.
 
 Physics, noise, seed and the values of each device (counts of encoder and strip, joints) are those
 of the simulated cell behind wires. The effects of wires are left out: late and split answers,
@@ -45,7 +45,7 @@ class InProcessCell:
     """Devices and clock of one simulated cell; ``seed`` is its machine's."""
 
     def __init__(self, cell: Cell, seed: int) -> None:
-        """Raises `SettingsError` for a machine that cannot be."""
+        """Raises `SettingsError` for an impossible machine."""
         passing = CellTime()
         truth = CellTruth(cell, seed, passing, Faults())
         self.clock: Clock = EventClock(passing)
@@ -57,7 +57,7 @@ class InProcessCell:
 
 
 class EventClock:
-    """Satisfies `hilcell.ports.Clock`: a wait passes at once."""
+    """Satisfies `hilcell.ports.Clock`: waits return at once."""
 
     def __init__(self, passing: CellTime) -> None:
         self._time = passing
@@ -70,7 +70,7 @@ class EventClock:
         self._time.advance(duration_s)
 
     def check(self) -> None:
-        """Do nothing: nobody stops a study's run but the end of its process."""
+        """Do nothing: a study's run stops only with its process."""
 
 
 class DirectRail:
@@ -100,7 +100,7 @@ class DirectRail:
         self._rest()
 
     def settle(self) -> RailReading:
-        """Return the reading: the slide stands after each motion."""
+        """Return the reading: the slide is at rest after each motion."""
         return self.read()
 
     def read(self) -> RailReading:
@@ -155,7 +155,7 @@ class DirectRobot:
         return self.rest()
 
     def rest(self) -> RobotReading:
-        """Let the motion come to its end; return the reading."""
+        """Let the motion end; return the reading."""
         self.time.advance(max(0.0, self.motion.motion_ends_s - self.time.now_s()))
         self._ended_s = self._clock.pc_s()
         return self.read()
@@ -257,7 +257,7 @@ class DirectTracker:
 
 
 class DirectStream:
-    """Satisfies `hilcell.ports.Stream`. Samples are computed in the end, by the looks."""
+    """Satisfies `hilcell.ports.Stream`. Samples are computed at the end, for the polls."""
 
     def __init__(self, truth: CellTruth, followed: Followed, rate_hz: float) -> None:
         self.rate_hz = rate_hz
@@ -268,12 +268,12 @@ class DirectStream:
         self._looked_s.append(self._truth.time.now_s())
 
     def collect(self) -> list[StreamBlock]:
-        """Note when it was looked."""
+        """Note the time of this poll."""
         self._looked_s.append(self._truth.time.now_s())
         return []
 
     def complete(self) -> list[StreamBlock]:
-        """Return all samples by the looks they came with; raises `NoReading` at a broken beam."""
+        """Return all samples, in blocks by poll; raises `NoReading` at a broken beam."""
         self.collect()
         streams, step_s = self._truth.streams, 1.0 / self.rate_hz
         start_s = streams.device_s(self._looked_s[0])

@@ -1,7 +1,7 @@
-"""Simulated cells as the engine starts them: a process beside it, found by entry points.
+"""Simulated cells as the engine starts them: a process of their own, found by entry points.
 
-The process dies with its parent (its stdin ends) but not with a ctrl-C meant for the engine,
-which needs it for its own safe stop: so it has a session of its own.
+The process ends with its parent (stdin closes) but not by a ctrl-C meant for the engine, which
+needs it for its own safe stop: so it has its own session.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class PaperCell:
         """``ports``: of ``rail``, ``robot``, ``tracker`` and ``control``; others are free ones."""
         self.check(cell)
         self.exercises: Sequence[Exercise] = cell_exercises(cell)
-        load_faults(faults)  # so that a wrong file is refused here, in full
+        load_faults(faults)  # reports a wrong file here, completely
         self._process: subprocess.Popen[bytes] | None = None
         if "rail" in ports and not cell.has_rail:
             raise SettingsError("--ports", [f"rail: cell {cell.name} has no rail"])
@@ -89,9 +89,9 @@ class PaperCell:
         return SimulatedClock(self._control, self._speed, stop)
 
     def strike(self, exercise: Exercise) -> None:
-        """Let a fault strike at its next occasion, also at rest."""
+        """Inject a fault at its next occasion, also at rest."""
         if not isinstance(exercise, FaultExercise):
-            raise HilcellError(f"exercise {exercise.title!r} is none of this simulated cell")
+            raise HilcellError(f"exercise {exercise.title!r} does not exist in this simulated cell")
         self._control.ask(
             "fault",
             name=exercise.fault,
@@ -130,7 +130,7 @@ class ReplayCell(PaperCell):
 
 
 class SimulatedClock:
-    """The time of a simulated cell; in stepped time a wait passes at once."""
+    """The time of a simulated cell; in stepped time waits return at once."""
 
     def __init__(self, control: Control, speed: float, stop: threading.Event) -> None:
         self._control, self._speed, self._stop = control, speed, stop
@@ -177,7 +177,7 @@ class Control(AbstractContextManager["Control"]):
         self.close()
 
     def ask(self, do: str, **facts: object) -> dict[str, Any]:
-        """Return the answer to a command; raises `DeviceError` when there is none."""
+        """Return the answer to a command; raises `DeviceError` if there is none."""
         with self._lock:
             try:
                 self._socket.sendall(msgspec.json.encode({"do": do} | facts) + b"\n")

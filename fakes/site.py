@@ -47,7 +47,7 @@ class SimulatedDevice(Protocol):
         """Begin to serve."""
 
     def restore(self) -> None:
-        """Put right what faults have done, as a person at the device would."""
+        """Undo the effects of faults, as an operator at the device would."""
 
     def close(self) -> None:
         """Stop serving."""
@@ -57,9 +57,9 @@ Serve = Callable[[Site, int], SimulatedDevice]
 
 
 def device_servers(cell: Cell) -> dict[str, Serve]:
-    """Return what serves each device of a cell, by table; a cell without a rail has none of one.
+    """Return what serves each device of a cell, by table; a cell without a rail has no rail server.
 
-    Raises `SettingsError` for drivers that nothing simulates.
+    Raises `SettingsError` for drivers without a simulation.
     """
     found: dict[str, Serve] = {}
     problems: list[str] = []

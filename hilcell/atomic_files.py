@@ -1,9 +1,8 @@
-"""Files appear whole or not at all: written beside their place, then renamed.
+"""Atomic writes of files: to a temporary file in the same folder, which is then renamed.
 
-A rename replaces anything of that name, a device, a pipe or a link as well. So links are followed,
-and all but regular files are opened and written to. So is an open file of this process, such as
-/dev/stdout: it may be a regular file that others write as well. A name that ends like that of
-another form is refused.
+A rename would also replace a device, a pipe or a link. So links are followed, and everything but
+regular files is opened and written to. So is an open file of this process, such as /dev/stdout,
+which others may write to as well. A name with the suffix of another format is refused.
 """
 
 from __future__ import annotations
@@ -26,7 +25,12 @@ KNOWN = (
     ".xhtml", ".xlsm", ".xlsb", ".tsv", ".jsonl", ".png", ".jpg", ".jpeg", ".svg", ".db",
     ".script",
 )  # fmt: skip
-STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # the disk's, not the name's
+STORAGE = (
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EFBIG,
+    errno.EIO,
+)  # of the disk, not the name
 
 
 class NotWritten(HilcellError):
@@ -36,13 +40,13 @@ class NotWritten(HilcellError):
 
 
 class DiskFailed(NotWritten):
-    """A file that a full or failing disk did not take."""
+    """A file not written because the disk is full or failing."""
 
     exit_code = EXIT_STORAGE
 
 
 class NotPrinted(HilcellError):
-    """Data that stdout does not take: a full disk, or a pipe that nobody reads any more."""
+    """Output that cannot be written: the disk is full, or the pipe has no reader."""
 
     code = "HC-J14"
     exit_code = EXIT_STORAGE
@@ -56,25 +60,25 @@ def write_whole(path: Path, content: bytes, *, inputs: Iterable[Path] = ()) -> N
 def check_output(
     path: Path, suffixes: tuple[str, ...], what: str, *, inputs: Iterable[Path] = ()
 ) -> None:
-    """Raise `NotWritten` where a file cannot be written, or is named like one of another form.
+    """Raise `NotWritten` if a file cannot be written, or has the suffix of another format.
 
-    ``what`` is what is written, ``suffixes`` its own, the usual one first. Names without a suffix,
-    or with one that no form has, are taken as they are.
+    ``what`` names the content, ``suffixes`` are its own, the usual one first. Names without a
+    suffix, or with an unknown one, are accepted.
     """
     _mode(path, list(inputs))
     suffix = path.suffix.lower()
     if suffix in KNOWN and suffix not in suffixes:
         raise NotWritten(
-            f"{path} is a {suffix} file by its name, and {what} is written; name it "
+            f"{path}: the suffix is {suffix}, but the content is {what}; name it "
             f"{path.with_suffix(suffixes[0]).name}"
         )
 
 
 def write_together(contents: Mapping[Path, bytes], *, inputs: Iterable[Path] = ()) -> None:
-    """Write files that belong together: all are ready beside their places before one is renamed.
+    """Write files that belong together: all temporary files are complete before one is renamed.
 
-    Existing files keep their mode. Raises `NotWritten`, and leaves all files as they were, where
-    one is a folder, cannot be written, or is one of ``inputs``, the files that were read.
+    Existing files keep their mode. Raises `NotWritten`, and leaves all files unchanged, if one is
+    a folder, cannot be written, or is one of ``inputs``, the files that were read.
     """
     read = list(inputs)
     modes = {path: _mode(path, read) for path in contents}
@@ -82,7 +86,7 @@ def write_together(contents: Mapping[Path, bytes], *, inputs: Iterable[Path] = (
     try:
         for path, mode in modes.items():
             if (mode is None or stat.S_ISREG(mode)) and _descriptor(path) is None:
-                # A short name of its own: it fits wherever the file's own name does.
+                # a short name: fits wherever the file's own name does
                 beside = _place(path).with_name(f".{secrets.token_hex(8)}.part")
                 with as_not_written(path), beside.open("xb") as file:
                     ready[path] = beside
@@ -104,9 +108,9 @@ def write_together(contents: Mapping[Path, bytes], *, inputs: Iterable[Path] = (
 
 
 def _mode(path: Path, inputs: list[Path]) -> int | None:
-    """Return the mode of the file that is there, or None; raises `NotWritten`."""
+    """Return the mode of the existing file, or None; raises `NotWritten`."""
     if str(path) == "-":
-        raise NotWritten("expected the name of a file, got -: /dev/stdout is that of the output")
+        raise NotWritten("expected a file name, got -; use /dev/stdout for standard output")
     with as_not_written(path):
         try:
             found = path.stat()
@@ -119,7 +123,7 @@ def _mode(path: Path, inputs: list[Path]) -> int | None:
             raise PermissionError(0, "Permission denied")
     read = (each.stat() for each in inputs if each.exists())
     if stat.S_ISREG(found.st_mode) and any(os.path.samestat(found, each) for each in read):
-        raise NotWritten(f"{_name(path)} is read by this command; write elsewhere")
+        raise NotWritten(f"{_name(path)}: output would overwrite an input; name another file")
     return found.st_mode
 
 
@@ -128,7 +132,7 @@ def _place(path: Path) -> Path:
 
 
 def _descriptor(path: Path) -> int | None:
-    """Return the number of the open file of this process that a name such as /dev/stdout means."""
+    """Return the file descriptor that a name such as /dev/stdout stands for, or None."""
     own = os.path.realpath("/proc/self/fd")
     link = path.parent / path.readlink() if path.is_symlink() else path
     found = next((each for each in (path, link) if os.path.realpath(each.parent) == own), None)
@@ -136,23 +140,20 @@ def _descriptor(path: Path) -> int | None:
 
 
 def is_stream(path: Path) -> bool:
-    """Whether what is written goes on elsewhere: a pipe, a device, an open file."""
+    """Whether output is passed on: to a pipe, a device, an open file."""
     with as_not_written(path):
         return path.exists() and (not path.is_file() or _descriptor(path) is not None)
 
 
 @contextmanager
 def as_not_written(path: Path) -> Iterator[None]:
-    """Raise `NotWritten` for an error of the system while a file is written.
-
-    A pipe that nobody reads any more is no fault of the name: `NotPrinted`.
-    """
+    """Raise `NotWritten` for a system error while writing, `NotPrinted` for a broken pipe."""
     try:
         yield
     except BrokenPipeError as error:
         raise NotPrinted(
-            f"{_name(path)}: cannot be written: {error.strerror}; the output is not complete; give "
-            "it to a program that reads it to its end"
+            f"{_name(path)}: cannot be written: {error.strerror}; the output is incomplete; use a "
+            "reader that reads to the end"
         ) from error
     except OSError as error:
         failed = DiskFailed if error.errno in STORAGE else NotWritten

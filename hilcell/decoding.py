@@ -1,8 +1,8 @@
-"""Typed values from plain ones, and from JSON: `msgspec`'s, for several threads.
+"""Thread-safe conversion of plain values and JSON to types, with `msgspec`.
 
-msgspec learns a type when it is first used, and marks it as known before it has its fields. A
-second thread that uses it meanwhile reads them all the same, and the process dies of a
-segmentation fault (msgspec 0.22). So each type is learnt under a lock.
+msgspec inspects a type at its first use and marks it as known before its fields are complete. A
+second thread that uses it meanwhile causes a segmentation fault (msgspec 0.22). So each type is
+inspected under a lock.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from typing import Any, TypeAlias, TypeVar, cast, overload
 import msgspec
 
 T = TypeVar("T")
-Json: TypeAlias = dict[str, Any]  # a plain object: an error's facts, a cell as it is written
-_LEARNING = threading.Lock()
+Json: TypeAlias = dict[str, Any]  # a plain object: facts of an error, a cell file
+_INSPECTING = threading.Lock()
 
 
 @overload
@@ -36,6 +36,6 @@ def decoded(text: bytes | str, kind: type[T]) -> T:
 
 @cache
 def learn(kind: Any) -> None:
-    """Have msgspec know a type, and all that are in it, before a second thread uses one."""
-    with _LEARNING:
+    """Let msgspec inspect a type and its nested types before a second thread uses one."""
+    with _INSPECTING:
         msgspec.json.Decoder(kind)

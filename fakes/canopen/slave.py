@@ -82,7 +82,7 @@ class Entry:
         return self.encode()
 
     def check_writable(self) -> None:
-        """Raise `SdoAbortError` where it cannot be written over the wire."""
+        """Raise `SdoAbortError` if it is read-only over the wire."""
         if self.access == "ro":
             raise SdoAbortError(Abort.READ_ONLY)
 
@@ -105,8 +105,8 @@ class Entry:
 class ObjectDictionary:
     """All objects of a node, by index and sub-index (clause 7.4).
 
-    Values are held in the units of the object, little-endian on the wire. An object may exist and
-    still be refused; every refusal carries the abort code that a real node would send.
+    Values are stored in the object's units, little-endian on the wire. Access to an existing object
+    may be refused; each refusal carries the abort code of a real node.
     """
 
     def __init__(self) -> None:
@@ -114,7 +114,7 @@ class ObjectDictionary:
         self._defaults: dict[tuple[int, int], int | str] = {}
 
     def add(self, index: int, sub: int, entry: Entry) -> None:
-        """Add an object; its present value is the one that a reset restores."""
+        """Add an object; a reset restores its present value."""
         self._entries[index, sub] = entry
         self._defaults[index, sub] = entry.value
 
@@ -174,8 +174,8 @@ def abort_reply(index: int, sub: int, code: int) -> bytes:
 class SdoServer:
     """Answers the requests of one SDO channel (clause 7.2.4): expedited and segmented.
 
-    One transfer at a time; a new initiate request simply drops the transfer under way, and the
-    toggle bit is the only thing that tells a repeated segment from the next one.
+    One transfer at a time; a new initiate request drops the current one. Only the toggle bit tells
+    a repeated segment from the next one.
     """
 
     UPLOAD, DOWNLOAD = SEGMENTS = 3, 0  # specifiers of a client's segments
@@ -185,7 +185,7 @@ class SdoServer:
         self._transfer: _Transfer | None = None
 
     def reset(self) -> None:
-        """Forget the transfer under way."""
+        """Drop the current transfer."""
         self._transfer = None
 
     def answer(self, request: bytes) -> bytes | None:

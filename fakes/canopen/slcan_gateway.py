@@ -1,8 +1,8 @@
 """A CAN gateway that speaks slcan (the Lawicel ASCII protocol), over TCP or on a serial line.
 
 Every command ends with CR and is answered: CR for done, ``z`` CR for a frame sent, BELL for
-refused. As on any gateway lines come glued, in two pieces, or a little late. TCP serves one client
-at a time. A client may throw away all that arrives before its ``O`` (open); so nothing is sent
+refused. As on any gateway lines arrive joined, split, or slightly late. TCP serves one client
+at a time. A client may discard what arrives before its ``O`` (open); so nothing is sent
 unasked until the channel is open.
 """
 
@@ -44,7 +44,7 @@ class SlcanGateway:
     """
 
     SEND_DEADLINE_S = 0.2
-    LATE_SHARE, LATE_S = 0.1, 0.001  # so many sendings wait for up to so long, whole or cut in two
+    LATE_SHARE, LATE_S = 0.1, 0.001  # this share of sendings is late by up to this, whole or split
     OK, REFUSED = b"\r", b"\a"
 
     def __init__(
@@ -93,7 +93,7 @@ class SlcanGateway:
             self._put(line)
 
     def flush(self) -> None:
-        """Send the queue; a client that does not take it in time is dropped."""
+        """Send the queue; a client that does not read it in time is disconnected."""
         if self._client is not None and self._sending:
             try:
                 if self._jitter_rng.random() < self.LATE_SHARE:

@@ -1,8 +1,7 @@
-"""The wires of a Universal Robots controller: states that come by themselves, registers, scripts.
+"""The wires of a Universal Robots controller: unsolicited states, registers, scripts.
 
-A script carries the number of its session, new each time, and the states show it. They also show
-the number of the last question for a fresh state. A write that changes nothing but the sign of life
-asks nothing new.
+A script carries the number of its session, new each time; the states show it, and the number of
+the last request for a fresh state. A write that changes only the heartbeat commands nothing.
 """
 
 from __future__ import annotations
@@ -18,10 +17,10 @@ DATA, OUTPUTS = 85, 79
 
 
 class Rtde(Sized):
-    """Packages; those of data come by themselves."""
+    """Packages; data packages are unsolicited."""
 
     flows = True
-    # recipe, then sequence, command, sign of life, stop; joints; speed
+    # recipe, then sequence, command, heartbeat, stop; joints; speed
     INPUTS, QUESTION = struct.Struct("!4i6dd"), struct.Struct("!i")
 
     def __init__(self, sessions: dict[int, int]) -> None:
@@ -32,11 +31,11 @@ class Rtde(Sized):
         self._time_s, self._count, self._question = 0.0, 0, 0
 
     def unheard(self, message: bytes) -> bool:
-        """Whether it is a question for a fresh state: every state answers the last of them."""
+        """Whether it requests a fresh state: every state answers the last request."""
         return message[KIND] == DATA and len(message) == HEAD + 1 + self.QUESTION.size
 
     def passed(self, message: bytes) -> None:
-        """Take note of a question's number."""
+        """Note the number of a request."""
         (self._question,) = self.QUESTION.unpack_from(message, HEAD + 1)
 
     def name(self, message: bytes) -> bytes:
@@ -99,7 +98,7 @@ class Rtde(Sized):
 
 
 class UrScript(Dialect):
-    """Scripts, each up to its end; the states of this wire are read by nobody."""
+    """Scripts, each up to its end; the states on this wire are not used."""
 
     NUMBER = re.compile(rb"write_output_integer_register\(26, (\d+)\)")
     END = b"\nend\n"
@@ -108,7 +107,7 @@ class UrScript(Dialect):
         self._sessions = sessions
 
     def split(self, data: bytes) -> tuple[list[bytes], bytes]:
-        """Return nothing: the rest is never whole."""
+        """Return no messages: they are not used."""
         return [], b""
 
     def split_questions(self, data: bytes) -> tuple[list[bytes], bytes]:
@@ -123,7 +122,7 @@ class UrScript(Dialect):
         return self.NUMBER.sub(b"", message)
 
     def heard(self, asked: bytes, recorded: bytes) -> None:
-        """Take note of the session's number."""
+        """Note the session's number."""
         new, old = self.NUMBER.search(asked), self.NUMBER.search(recorded)
         if new is not None and old is not None:
             self._sessions[int(old[1])] = int(new[1])

@@ -1,8 +1,7 @@
-"""Where a device is reached, in one spelling: two spellings of one place must give one lock.
+"""Normalised addresses of devices: two spellings of one address must give one lock.
 
-An address is compared by its target: a host by its addresses, a device file by the file behind its
-links. A name server may take long to answer; a name that it does not resolve in `RESOLVE_S` stands
-for itself.
+A host is compared by its IP addresses, a device file by the target of its links. A name server may
+be slow; a name not resolved within `RESOLVE_S` is compared as text.
 """
 
 from __future__ import annotations
@@ -21,12 +20,11 @@ THIS_MACHINE = "this machine"
 
 
 def places(options: Mapping[str, object]) -> list[str]:
-    """Return the places that a driver's options name, each in one spelling.
+    """Return the normalised addresses in a driver's options, and in tables of its parts.
 
-    ``host`` and ``port``, or ports with names of their own as ``rtde_port``; or a ``channel``: a
-    URL of a network gateway, a serial port with or without its baud rate, a CAN interface; also
-    those of a part with a table of its own, as a strip's. A driver with other words is known by
-    all its options.
+    ``host`` with ``port``, or with named ports such as ``rtde_port``; or ``channel``: the URL of a
+    network gateway, a serial port with or without baud rate, a CAN interface. Options without
+    either are one address as a whole.
     """
     parts = [part for part in options.values() if isinstance(part, Mapping)]
     of_parts = [
@@ -47,7 +45,7 @@ def _channel(channel: str) -> list[str]:
         try:
             url = urlsplit(channel)
             return _network(url.hostname or "", url.port)
-        except ValueError:  # no port that could be one: the driver refuses it
+        except ValueError:  # impossible port: the driver refuses it
             return [channel]
     port = channel.partition("@")[0]  # of a serial port, as python-can writes its baud rate
     if port.startswith("/"):
@@ -56,7 +54,7 @@ def _channel(channel: str) -> list[str]:
 
 
 def _network(host: str, port: object) -> list[str]:
-    """Return the places of a host's addresses; all of this machine's own are one."""
+    """Return the addresses of a host; all of this machine's own are one."""
     found = _resolved(host.rstrip(".")) if _number(host) is None else {host}
     return sorted({f"{THIS_MACHINE if _is_ours(each) else each}:{port}" for each in found})
 
@@ -84,7 +82,7 @@ def _resolved(host: str) -> set[str]:
 
 
 def _is_ours(address: str) -> bool:
-    """Whether an address is one of this machine's: only to those a socket can be bound."""
+    """Whether an address is one of this machine's: a socket can be bound to it."""
     number = _number(address)
     if number is None:
         return False

@@ -1,7 +1,7 @@
-"""Where the rail and the nests stand, and whether reflectors are carried by hand.
+"""Positions of rail and nests, and whether reflectors are carried by hand.
 
 Frames: {W} world, of the floor's first three nests; {B} robot base; {S} slide, whose nests are
-given in nominal {B}, for the slide carries the robot.
+given in nominal {B}, because the slide carries the robot.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ class KnownLength(Frozen, frozen=True, kw_only=True):
 
 
 class Layout(Frozen, frozen=True, kw_only=True):
-    """Where the rail stands: nominal {B} in {W} at rail 0, the rail's direction in {W}.
+    """Nominal {B} in {W} at rail position 0, the rail's direction in {W}, the nests.
 
-    Without a rail the direction is nought, and there are no nests of a slide.
+    Without a rail the direction is zero and there are no nests on a slide.
     """
 
     base: Pose
@@ -90,7 +90,7 @@ class Layout(Frozen, frozen=True, kw_only=True):
                 seen.add(nest.name)
 
     def _bad_lengths(self) -> Iterator[str]:
-        """Yield lengths that are not those of nests on floor and bars."""
+        """Yield known lengths that do not match nests on floor and bars."""
         at_mm = {nest.name: nest.xyz_mm for nest in self.fixed_nests}
         for n, each in enumerate(self.length):
             unknown = [name for name in each.nests if name not in at_mm]
@@ -110,7 +110,7 @@ class Layout(Frozen, frozen=True, kw_only=True):
 
     @property
     def fixed_nests(self) -> list[Nest]:
-        """Return the nests in {W}, which do not ride on the slide."""
+        """Return the nests in {W}, not on the slide."""
         return [*self.floor, *self.bar]
 
     @property
@@ -126,7 +126,7 @@ class Layout(Frozen, frozen=True, kw_only=True):
 
 
 def _bad_frame(table: str, nests: list[Nest]) -> Iterator[str]:
-    """Yield what makes nests no frame: the first three are its axes."""
+    """Yield reasons why nests define no frame; the first three define its axes."""
     most_nests = 100
     if not 3 <= len(nests) <= most_nests:
         yield f"{table}: expected 3 .. {most_nests} nests, got {len(nests)}"
@@ -136,7 +136,7 @@ def _bad_frame(table: str, nests: list[Nest]) -> Iterator[str]:
 
 
 def _too_close(table: str, nests: list[Nest]) -> Iterator[str]:
-    least_mm = 20.0  # nests closer than this are one nest, or their reflectors touch
+    least_mm = 20.0  # closer: the same nest twice, or reflectors touch
     for (_, one), (n, other) in combinations(enumerate(nests), 2):
         apart_mm = float(np.linalg.norm(one.xyz_mm - other.xyz_mm))
         if not apart_mm >= least_mm:

@@ -1,4 +1,4 @@
-"""The robot of the cell file: nominal kinematics, reflectors, tools, how it moves."""
+"""The robot of the cell file: nominal kinematics, reflectors, tools, motion settings."""
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ class Joint(Frozen, frozen=True, kw_only=True):
 
 
 class RobotTable(Frozen, frozen=True, kw_only=True):
-    """The robot: nominal kinematics, where the reflector sits, how it moves.
+    """The robot: nominal kinematics, positions of the reflectors, motion settings.
 
     ``smr_mm`` is the tool point. Two or more other reflectors, ``more_smr_mm``, make the tool's
-    orientation measurable. ``rp_mm`` is its pose repeatability (ISO 9283) by the data sheet.
+    orientation measurable. ``rp_mm`` is the pose repeatability (ISO 9283) of the data sheet.
     """
 
     driver: Name
@@ -91,7 +91,7 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
         )
 
     def _bad_reflector_places(self) -> Iterator[str]:
-        """Yield what makes several reflectors no measure of an orientation."""
+        """Yield reasons why several reflectors cannot measure an orientation."""
         if not self.more_smr_mm:
             return
         seats_mm = self.seats_mm
@@ -100,14 +100,14 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
             more = f"{reflectors[0] - 1} .. {reflectors[-1] - 1}"
             yield f"more_smr_mm: expected {more} reflectors, got {len(self.more_smr_mm)}"
             return
-        least_mm = 50.0  # closer ones are taken for one another, and tell little of an angle
+        least_mm = 50.0  # closer: easily confused, and a poor measure of angles
         for one, other in combinations(range(len(seats_mm)), 2):
             apart_mm = float(np.linalg.norm(seats_mm[one] - seats_mm[other]))
             if not apart_mm >= least_mm:
                 apart = f"reflectors {one + 1} and {other + 1} are {apart_mm:.1f} mm apart"
                 yield f"more_smr_mm: {apart}, expected >= {least_mm:g} mm"
         spread = np.linalg.svd(seats_mm - seats_mm.mean(axis=0), compute_uv=False)
-        if not spread[1] > 0.2 * spread[0]:  # less is no triangle
+        if not spread[1] > 0.2 * spread[0]:  # less: hardly a triangle
             yield (
                 f"more_smr_mm: expected a triangle, got reflectors on one line (spread "
                 f"{spread[0]:.1f} mm along it, {spread[1]:.1f} mm across)"
@@ -115,7 +115,7 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
 
     @property
     def seats_mm(self) -> Array:
-        """Return the nominal places (K, 3) of the flange's reflectors, first the tool point."""
+        """Return the reflectors' nominal positions (K, 3) on the flange, the tool point first."""
         return np.array([self.smr_mm, *self.more_smr_mm])
 
     def arm(self) -> Arm:
@@ -129,7 +129,7 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
         return arm_from_joints(self.joint, tool)
 
     def nominal(self) -> NominalRobot:
-        """Return the robot as its controller takes it to be."""
+        """Return the robot of the controller's nominal kinematics."""
         home_rad = np.radians(self.home_deg)
         return NominalRobot(self.arm(), self.status, self.margin_limits_rad, home_rad)
 
@@ -156,16 +156,16 @@ def arm_from_joints(joints: list[Joint], tool: Array) -> Arm:
 
 
 REFLECTOR = "reflector"  # the tool whose tip is the reflector's centre, {T}
-STANDOFF_MORE_MM = 20.0  # beyond the drill's length, at least
+STANDOFF_MORE_MM = 20.0  # minimum beyond the drill's length
 MOST_STANDOFF_MM = 1000.0
 
 
 class ToolTable(Pose, frozen=True, kw_only=True):
     """A tool: the frame of its tip in the flange, z along the drill, out of the spindle.
 
-    ``number`` is the controller's own, where it has numbers. ``measured`` says how the tip was
-    measured against the reflector, ``u_mm`` is 1 sigma of that. ``drill_mm`` is how far the drill
-    is in front of all else, ``standoff_mm`` how far the tip is kept from the part between holes.
+    ``number`` is the controller's, if it numbers tools. ``measured`` describes how the tip was
+    measured relative to the reflector, ``u_mm`` is 1 sigma of that. ``drill_mm`` is the free length
+    of the drill, ``standoff_mm`` the distance of the tip from the part between holes.
     """
 
     name: Name
@@ -187,18 +187,18 @@ class ToolTable(Pose, frozen=True, kw_only=True):
 
     @property
     def reach_mm(self) -> float:
-        """Return how far the tip is in front of the flange's centre, along its own z."""
+        """Return the distance of the tip from the flange's centre along the tip's z."""
         T = self.matrix()
         return float(T[:3, 3] @ T[:3, 2])
 
     @property
     def least_standoff_mm(self) -> float:
-        """Return the drill's length and some more."""
+        """Return the drill's length plus a margin."""
         return self.drill_mm + STANDOFF_MORE_MM
 
 
 def tool_problems(tools: Sequence[ToolTable], reflector: object) -> Iterator[str]:
-    """Yield what is wrong with tools; ``reflector`` is the number of that one, if it has any."""
+    """Yield problems of tools; ``reflector`` is the number of the reflector's tool, if any."""
     names = Counter(each.name for each in tools)
     numbers = Counter(each.number for each in tools if each.number is not None)
     for key, counts in (("names", names), ("numbers", numbers)):

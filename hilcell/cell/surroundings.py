@@ -1,8 +1,8 @@
-"""Volumes that the arm keeps out of, and the arm's own shape.
+"""Keep-out volumes, and the arm's own shape.
 
-A box stands in {W}, or on the slide in nominal {B}. The arm is a chain of capsules along the lines
-of its joints. Its shape is rough and its base nominal: the clearance covers what they leave out.
-Lengths mm, angles rad.
+A box is fixed in {W}, or on the slide in nominal {B}. The arm is a chain of capsules along the
+lines of its joints. Its shape is approximate and its base nominal: the clearance covers the
+difference. Lengths mm, angles rad.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from hilcell.geometry.clearance import Body, Boxes, Capsules, Proof, joint_lines
 from hilcell.geometry.kinematics import Arm, Array
 
 LINKS = 6
-LEAST_MM = 5.0  # of a size or radius: less is hardly in millimetres
+LEAST_MM = 5.0  # of a size or radius: less is probably in metres
 
 
 class KeepOut(Frozen, frozen=True, kw_only=True):
-    """A box that the arm keeps out of: in {W}, or riding on the slide in nominal {B}."""
+    """A box that the arm keeps out of: fixed in {W}, or on the slide in nominal {B}."""
 
     name: Name
     centre: Pose
@@ -36,7 +36,7 @@ class KeepOut(Frozen, frozen=True, kw_only=True):
 
 
 class CapsuleTable(Frozen, frozen=True, kw_only=True):
-    """A part that sticks out, in the DH frame of the link that carries it."""
+    """A protruding part, in the DH frame of its link."""
 
     link: Annotated[int, Meta(ge=1, le=LINKS)]
     from_mm: Point
@@ -48,7 +48,7 @@ class CapsuleTable(Frozen, frozen=True, kw_only=True):
 
 
 class EnvelopeTable(Frozen, frozen=True, kw_only=True):
-    """The arm's shape: a radius around the line of each link's joints, and parts beside it."""
+    """The arm's shape: a radius around the line of each link's joints, and protruding parts."""
 
     radius_mm: tuple[Size, Size, Size, Size, Size, Size]
     clearance_mm: Size = 50.0
@@ -60,7 +60,7 @@ class EnvelopeTable(Frozen, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True)
 class Nearest:
-    """How near a motion comes to a volume: which link, and at which share of the way."""
+    """The smallest clearance of a motion: the link, the volume, the share of the motion."""
 
     clearance_mm: float
     link: int
@@ -69,7 +69,7 @@ class Nearest:
 
 
 class Surroundings:
-    """The volumes of a cell, and whether its arm, up to a link, keeps clear of them."""
+    """The keep-out volumes of a cell, checked against its arm up to a link."""
 
     def __init__(
         self,
@@ -79,10 +79,10 @@ class Surroundings:
         keep_out: Sequence[KeepOut],
         to_link: int = LINKS,
     ) -> None:
-        standing = [volume for volume in keep_out if volume.frame == "world"]
-        riding = [volume for volume in keep_out if volume.frame == "slide"]
+        fixed = [volume for volume in keep_out if volume.frame == "world"]
+        on_slide = [volume for volume in keep_out if volume.frame == "slide"]
         self.wanted_mm = envelope.clearance_mm
-        self._names = [volume.name for volume in (*standing, *riding)]
+        self._names = [volume.name for volume in (*fixed, *on_slide)]
         lines = [
             (link, segment, radius_mm)
             for link, radius_mm in enumerate(envelope.radius_mm[:to_link], start=1)
@@ -99,8 +99,8 @@ class Surroundings:
             Capsules(np.array(links), np.array(ends_mm), np.array(radii_mm)),
             layout.nominal_base(0.0),
             np.array(layout.rail_direction),
-            _boxes(standing),
-            _boxes(riding),
+            _boxes(fixed),
+            _boxes(on_slide),
         )
 
     def prove(self, start: Array, end: Array, more_mm: float = 0.0) -> Proof:
@@ -108,32 +108,32 @@ class Surroundings:
         return self._body.prove(start, end, self.wanted_mm + more_mm)
 
     def apart_mm(self, one: Array, other: Array) -> float:
-        """Return how far the arm's points are from where another posture (7,) has them at most."""
+        """Return the largest displacement of the arm's points between two postures (7,)."""
         return float(self._body.travel_mm(one[None], other[None]).max())
 
     def nearest(self, start: Array, end: Array, also: float) -> Nearest:
-        """Return where a motion between postures (7,) is tightest; looks at share ``also``, too."""
+        """Return the closest approach between postures (7,); also checks share ``also``."""
         found = self._body.tightest(start, end, also)
         link = int(self._body.capsules.link[found.capsule])
         return Nearest(found.clearance_mm, link, self._names[found.box], found.share)
 
 
 def keep_out_problems(keep_out: Sequence[KeepOut], envelope: EnvelopeTable | None) -> Iterator[str]:
-    """Yield what is wrong with a cell's volumes: both they and the arm's shape are needed."""
+    """Yield problems of keep-out volumes; they need the arm's shape, and it needs them."""
     names = [volume.name for volume in keep_out]
     for name in sorted({name for name in names if names.count(name) > 1}):
         yield f"keep_out: names must differ, got {name} twice"
     most_volumes = 100
     if not len(names) <= most_volumes:
-        yield f"keep_out: {len(names)} volumes, at most {most_volumes} are checked"
+        yield f"keep_out: {len(names)} volumes, expected at most {most_volumes}"
     if names and envelope is None:
         yield "keep_out: the arm's shape is unknown; state robot.envelope.radius_mm"
     if envelope is not None and not names:
-        yield "robot: envelope: there is no keep_out; state at least the floor"
+        yield "robot: envelope: no keep_out; state at least the floor"
 
 
 def _refuse_metres(key: str, lengths_mm: Sequence[float]) -> None:
-    """Refuse volumes and links so small that nothing would collide; raises `ValueError`."""
+    """Raise `ValueError` for sizes that are probably in metres: nothing would collide."""
     least_mm = min(lengths_mm)
     if not least_mm >= LEAST_MM:
         raise ValueError(
@@ -142,7 +142,7 @@ def _refuse_metres(key: str, lengths_mm: Sequence[float]) -> None:
 
 
 def posture(rail_mm: float, joints_rad: Array) -> Array:
-    """Return postures (..., 7): the slide's place and joints (..., 6)."""
+    """Return postures (..., 7): the slide's position and joints (..., 6)."""
     places = np.full((*joints_rad.shape[:-1], 1), rail_mm)
     return np.concatenate([places, joints_rad], axis=-1)
 

@@ -1,4 +1,4 @@
-"""Ranges of numbers, a table and a pose, as all tables of the cell file share them: mm and deg."""
+"""Number ranges, base class and pose shared by the tables of the cell file; mm and deg."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hilcell.geometry.kinematics import Array
 
 Length = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Size = Annotated[float, Meta(gt=0, le=1e6)]
-Tolerance = Annotated[float, Meta(gt=0, le=10)]  # a greater one, in mm, accepts whatever happens
+Tolerance = Annotated[float, Meta(gt=0, le=10)]  # mm; a greater one would accept anything
 Step = Annotated[float, Meta(ge=0.01, le=1e6)]
 Turn = Annotated[float, Meta(gt=0, le=180)]  # deg
 Angle = Annotated[float, Meta(ge=-3600, le=3600)]
@@ -27,7 +27,7 @@ Name = Annotated[
     str,
     Meta(
         pattern=r"^[^\W_][\w.\- ]{0,63}$",
-        description="1 to 64 letters, digits, '_', '.', '-' and spaces, the first no sign",
+        description="a letter or digit, then up to 63 letters, digits, '_', '.', '-', spaces",
     ),
 ]
 Point = tuple[Length, Length, Length]
@@ -40,7 +40,7 @@ class Frozen(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 def refuse_descending(table: Frozen, low: str, high: str) -> None:
-    """Refuse a table whose lower end is not below its upper; raises `ValueError`."""
+    """Raise `ValueError` unless the lower end is below the upper."""
     least, most = getattr(table, low), getattr(table, high)
     if not least < most:
         raise ValueError(f"{low} {least} must be below {high} {most}")

@@ -1,4 +1,4 @@
-"""Uncertainties that no run can measure: the laboratory states them in the cell file.
+"""Uncertainties that a run cannot measure; the laboratory states them in the cell file.
 
 A limit is the half-width of a rectangular distribution (GUM 4.3.7); an angle is 1 sigma.
 """
@@ -20,8 +20,8 @@ from hilcell.cell.settings import SettingsError, read_text
 from hilcell.cell.tables import Frozen, Point, Rate
 from hilcell.sanitize import clean
 
-# The file is not trusted: it has a size limit and no document type, so nothing in it is expanded
-# or fetched. DCC 2 and 3 are read, with the uncertainty of D-SI 1 and of D-SI 2.2.
+# The file is not trusted: its size is limited and a document type is refused, so no entity is
+# expanded or fetched. Supported: DCC 2 and 3, with uncertainties of D-SI 1 and D-SI 2.2.
 
 DCC, SI = "{https://ptb.de/dcc}", "{https://ptb.de/si}"
 MM = {"\\metre": 1e3, "\\milli\\metre": 1.0, "\\micro\\metre": 1e-3, "\\nano\\metre": 1e-6}
@@ -29,12 +29,12 @@ COVERAGE_FACTOR = 2.0  # about 95 % of a normal distribution (GUM 6.3.3)
 
 
 class CertificateError(Exception):
-    """A certificate that does not state what it is read for."""
+    """A certificate that lacks the required statement."""
 
 
 @dataclass(frozen=True, slots=True)
 class InstrumentDcc:
-    """A certificate: ``words`` are number, date and laboratory."""
+    """A digital calibration certificate; ``words`` are its number, date and laboratory."""
 
     words: str
     root: Element
@@ -69,8 +69,8 @@ class InstrumentDcc:
     def largest_error_mm(self, id: str) -> float:
         """Return the largest |error| + U (k = 2) of the quantity with this id.
 
-        The quantity is a list or a single value of errors that the instrument has shown; so large
-        may each of its readings be off (GUM F.2.4.5: an error that is not corrected).
+        The quantity is one or more errors found at the instrument's calibration. They are not
+        corrected, so each reading may be off by the largest (GUM F.2.4.5).
         """
         found = [each for each in self.root.iter(f"{DCC}quantity") if each.get("id") == id]
         if len(found) != 1:
@@ -98,18 +98,18 @@ class InstrumentDcc:
 
     @staticmethod
     def _unit(quantity: Element) -> str:
-        """Return the one unit of a quantity of D-SI, "" where it has none of its own."""
+        """Return the unit of a D-SI quantity, "" unless it has exactly one."""
         texts = (quantity.findtext(f"{SI}{name}", "") for name in ("unit", "unitXMLList"))
         units = {unit for text in texts for unit in text.split()}
         return units.pop() if len(units) == 1 else ""
 
     @classmethod
     def _values(cls, quantity: Element, id: str) -> tuple[list[float], list[float]]:
-        """Return the values of a quantity and their U (k = 2), as many."""
+        """Return the values of a quantity and the U (k = 2) of each."""
         values = [
             each for name in ("value", "valueXMLList") for each in cls._floats(quantity, name)
         ]
-        pairs = (  # U and its k: of single values and of lists, as D-SI 2.2 and earlier ones say it
+        pairs = (  # U and its k: of single values and of lists, in D-SI 2.2 and earlier
             [list(cls._floats(quantity, f"{name}{of}")) for name in (U, "coverageFactor")]
             for U in ("valueExpandedMU", "uncertainty")
             for of in ("", "XMLList")
@@ -130,7 +130,7 @@ class InstrumentDcc:
 
     @staticmethod
     def _floats(quantity: Element, name: str) -> Iterator[float]:
-        """Yield the figures of a quantity's own element, or of its uncertainty's."""
+        """Yield the numbers of a quantity's own element, or of its uncertainty's."""
         element = next(quantity.iter(f"{SI}{name}"), None)
         for word in ("" if element is None else element.text or "").split():
             try:
@@ -148,23 +148,23 @@ ID = "#"  # between a file and the id of a quantity in it
 
 
 class UncertaintyTable(Frozen, frozen=True, kw_only=True):
-    """Stated contributions, replaced by certificates and data sheets where there are any.
+    """Stated contributions; certificates and data sheets replace the defaults.
 
-    The tracker's limit is ``tracker_limit_mm`` in each direction, and across the beam
-    ``tracker_limit_um_m`` times the range besides. ``arm_growth_um_m_k`` is the most, that
-    of aluminium: an arm lags the room. ``drill_offset_mm`` is where the tool works,
-    from the reflector's centre, with the axes of {T}. Certificates are numbers and dates, as
-    the report's first page shall name them; a DCC file names its own, see `with_certificates`.
+    The tracker's limit is ``tracker_limit_mm`` in each direction, plus ``tracker_limit_um_m``
+    times the range across the beam. ``arm_growth_um_m_k`` is an upper limit (aluminium), because
+    the arm's temperature lags the room's. ``drill_offset_mm`` is the working point relative to the
+    reflector's centre, in the axes of {T}. Certificates are the numbers and dates for the report's
+    first page; a DCC file contains its own, see `with_certificates`.
     """
 
     tracker_limit_mm: Limit = 0.015  # the paper's tracker within 10 m (section 5.1)
     tracker_limit_um_m: Rate = 0.0
     smr_centring_limit_mm: Limit = 0.0127  # half a thousandth of an inch, a common grade
-    drift_limit_mm: Limit = 0.02  # where the floor nests were not measured again
+    drift_limit_mm: Limit = 0.02  # if the floor nests were not measured again
     arm_growth_um_m_k: Rate = 23.0
     air_range_k: Annotated[float, Meta(ge=0, le=60)] = 4.0  # without a weather station
-    lost_motion_urad: Urad = 100.0  # of an axis that reverses, by the robot's data sheet
-    reversal_limit_mm: Limit = 0.0  # programs approach from below on every axis, as the run does
+    lost_motion_urad: Urad = 100.0  # of a reversing axis, from the robot's data sheet
+    reversal_limit_mm: Limit = 0.0  # 0: programs approach from below on every axis, like the run
     drill_offset_mm: Point = (0.0, 0.0, 0.0)
     orientation_urad: Urad = 1000.0
     tracker_certificate: str = ""
@@ -176,20 +176,20 @@ class UncertaintyTable(Frozen, frozen=True, kw_only=True):
 
     @property
     def tracker_source(self) -> str:
-        """Return where the tracker's limit comes from, "" where it is an assumption."""
+        """Return the source of the tracker's limit, "" for an assumption."""
         return f"certificate {self.tracker_certificate}" if ID in self.tracker_dcc else ""
 
     @property
     def smr_source(self) -> str:
-        """Return where the centring's limit comes from, "" where it is an assumption."""
+        """Return the source of the centring's limit, "" for an assumption."""
         return f"certificate {self.smr_certificate}" if ID in self.smr_dcc else ""
 
 
 def with_certificates(stated: UncertaintyTable, folder: Path) -> UncertaintyTable:
-    """Return the table with what the named DCC files say; raises `ValueError` as a table does.
+    """Return the table completed from the named DCC files; raises `ValueError` as a table does.
 
-    A file names the certificate; with the id of a quantity of errors behind it, as in
-    ``tracker.xml#length_errors``, the largest of them becomes the limit.
+    A file names its certificate. With the id of a quantity appended, as in
+    ``tracker.xml#length_errors``, the largest of its errors becomes the limit.
     """
     found: dict[str, str | float] = {}
     problems: list[str] = []

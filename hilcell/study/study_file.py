@@ -281,7 +281,7 @@ class _AgainstCell:
             )
         if cell.layout.by_hand:
             yield (
-                "layout.reflectors: by_hand: somebody must be there to carry the reflector, and "
+                "layout.reflectors: by_hand: an operator must carry the reflector, and "
                 'cases run unattended; set layout.reflectors = "mounted"'
             )
 

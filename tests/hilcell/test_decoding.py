@@ -1,4 +1,4 @@
-"""Types that several threads use at once, from the first time on."""
+"""Types first used by several threads at once."""
 
 import re
 import subprocess
@@ -11,11 +11,11 @@ ROOT = Path(__file__).parents[2]
 DIRECT = re.compile(r"msgspec\.convert\(|Decoder\(|decode\([^\n]*type=(?!dict\[str, (Any|str)\])")
 AT_ONCE = """
 import os, sys, threading
-from hilcell.cell.file import Cell, completed
+from hilcell.cell.file import Cell, with_rail
 from hilcell.cell.source import parsed, read_source
 from hilcell.decoding import typed
 
-values = completed(parsed(read_source("paper"), "paper"))
+values = with_rail(parsed(read_source("paper"), "paper"))
 
 def at_once():
     sys.setswitchinterval(1e-6)
@@ -32,7 +32,7 @@ def at_once():
         each.join()
     return cells == [typed(values, Cell)] * 3
 
-for _ in range(60):  # each as new as this process, which itself uses no type
+for _ in range(60):  # each as fresh as this process, which itself uses no type
     pid = os.fork()
     if not pid:
         os._exit(not at_once())

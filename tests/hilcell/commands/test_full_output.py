@@ -109,7 +109,7 @@ def test_a_file_that_is_a_closed_pipe_is_exit_7(
         assert main(words) == 7
     err = capsys.readouterr().err
     assert f"hilcell: {out}: cannot be written: {os.strerror(errno.EPIPE)}; " in err
-    assert "reads it to its end" in err
+    assert "use a reader that reads to the end" in err
 
 
 def test_a_closed_stdout_is_exit_7(
