@@ -57,19 +57,29 @@ def default_of(field: msgspec.structs.FieldInfo) -> str:
     return f"{field.default:g}" if isinstance(field.default, float) else f"{field.default!r}"
 
 
+def limits_of(field: msgspec.structs.FieldInfo) -> str:
+    """Return a range as the page writes it: ``0 .. 10``, ``> 0 .. 10``, ``±10``."""
+    text = range_text(field.type).replace("1e+06", "1e6")
+    if match := re.fullmatch(r">= -(\S+), <= \1", text):
+        return f"±{match[1]}"
+    if match := re.fullmatch(r"(>=|>) (\S+), <= (\S+)", text):
+        return f"{match[2]} .. {match[3]}" if match[1] == ">=" else f"> {match[2]} .. {match[3]}"
+    return text
+
+
 def rows(section: str) -> dict[str, tuple[str, str]]:
     """Return default and range by key, as the page's section states them."""
     (text,) = re.findall(
         rf"^## {re.escape(section)}\n(.*?)(?=^## |\Z)", PAGE, re.MULTILINE | re.DOTALL
     )
     cells = [[c.strip() for c in line.split("|")[1:-1]] for line in text.splitlines()]
-    return {row[0].strip("`"): (row[2], row[3]) for row in cells if row and row[0][:1] == "`"}
+    return {row[0].strip("`"): (row[1], row[2]) for row in cells if row and row[0][:1] == "`"}
 
 
 def test_every_key_stands_there_with_its_default_and_range() -> None:
     for section, table in SECTIONS.items():
         fields = msgspec.structs.fields(table)
-        assert rows(section) == {f.name: (default_of(f), range_text(f.type)) for f in fields}
+        assert rows(section) == {f.name: (default_of(f), limits_of(f)) for f in fields}
 
 
 def test_no_table_is_left_out() -> None:
