@@ -61,7 +61,7 @@ docs: $(VENV)/docs  ## the manual as a site in site/, with the pages that are wr
 	$(BIN)/python -m hilcell.commands.manual > docs/cli.md
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --clean
 
-gauges:  ## modules, lines, names, Any, shapes of each noun, habits of speech; docs/architecture.md
+gauges:  ## modules, lines, names, Any, shapes of each noun; docs/architecture.md
 	@$(PYTHON) benchmarks/gauges.py
 
 bench: $(VENV)/more  ## timings, as ratios within one run

@@ -17,13 +17,6 @@ ROOMS = ("hilcell", "drivers", "procedures", "fakes")
 CORE = ("hilcell", "procedures")
 SMALL, LARGE = 60, 800  # lines of a module
 NOUNS = ("Cell", "Run", "Point", "Frame", "Verdict", "Calibration", "Alarm")
-HABITS = {
-    "is wanted": r"\bis wanted\b",
-    "are wanted": r"\bare wanted\b",
-    "found": r"\bfound\b",
-    "stated": r"\bstated\b",
-    "what .. is": r"\bwhat\b[^.,;:]{0,40} is\b",
-}
 DECODING = re.compile(r"(dec|enc)_hook|decode|encode")
 
 
@@ -96,14 +89,6 @@ def declares(module: Module) -> set[str]:
     return found.intersection(NOUNS)
 
 
-def sentences(module: Module) -> Iterator[str]:
-    """Yield the texts of a module: messages, docstrings, comments."""
-    for node in ast.walk(module.tree):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str):
-            yield node.value
-    yield from re.findall(r"#(.*)", module.text)
-
-
 def gauges() -> list[tuple[str, str]]:
     """Return each gauge and its figure."""
     product = modules()
@@ -118,7 +103,6 @@ def gauges() -> list[tuple[str, str]]:
     declared = sum(len(list(names(module))) for module in product) * per_thousand
     private = sum(map(private_functions, product)) * per_thousand
     shapes = [declares(module) for module in product]
-    texts = [text for module in product for text in sentences(module)]
     rows = [
         ("modules", f"{len(product)}"),
         ("lines of the product", f"{lines}"),
@@ -132,10 +116,6 @@ def gauges() -> list[tuple[str, str]]:
     rows += [
         (f"files that declare {noun}", f"{sum(noun in of_module for of_module in shapes)}")
         for noun in NOUNS
-    ]
-    rows += [
-        (f'texts with "{words}"', f"{sum(bool(re.search(form, text)) for text in texts)}")
-        for words, form in HABITS.items()
     ]
     return rows
 
