@@ -110,15 +110,15 @@ Options follow their command, in any order. Every command has `--help`; `hilcell
 the version.
 """
 COLUMNS = ("| argument | meaning | default |", "|---|---|---|")
-SHARED = 3  # an option of so many commands or more is in the common table
+SHARED = 2  # an argument of so many commands or more is in the common table
 DEFAULT = re.compile(r" ?\(?\bdefault: ((?:[^()]|\([^()]*\))*)\)?")  # in the help of an argument
 
 
 def page() -> str:
     parts, shared = [HEAD], _shared_rows()
     if shared:
-        about = "Each command lists those that it has below its own arguments.\n"
-        parts += ["## Common options\n", about, "\n".join([*COLUMNS, *shared.values(), ""])]
+        about = 'Each command names its own of these after "Also".\n'
+        parts += ["## Common arguments\n", about, "\n".join([*COLUMNS, *shared.values(), ""])]
     for title, commands in cli.GROUPS.items():
         parts.append(f"## {title.capitalize()}\n")
         parts += _sections("hilcell", commands, shared)
@@ -132,7 +132,7 @@ def page() -> str:
 
 
 def _shared_rows() -> dict[str, str]:
-    """Return the rows of options that several commands have with the same help, by option."""
+    """Return the rows of arguments that several commands have with the same help, by argument."""
     signatures: set[type[Signature]] = set()
     for commands in cli.GROUPS.values():
         for each, function in commands.values():
@@ -141,7 +141,7 @@ def _shared_rows() -> dict[str, str]:
         (_name(field), row)
         for each in signatures
         for field in arguments_of(each)
-        if not (field.positional or field.must_be_given or field.switches)
+        if not field.switches
         for row in _rows(field)
     )
     shared: dict[str, str] = {}
@@ -165,7 +165,7 @@ def _sections(program: str, commands: cli.Commands, shared: dict[str, str]) -> I
         if own := [row for given, row in rows if shared.get(given) != row]:
             yield "\n".join([*COLUMNS, *own, ""])
         if common := [f"`{given}`" for given, row in rows if shared.get(given) == row]:
-            yield f"Common options: {', '.join(common)}\n"
+            yield f"Also: {', '.join(common)}\n"
 
 
 def _usage(field: Argument) -> str:
