@@ -194,7 +194,6 @@ parse_seed, parse_workers = _whole(0, 2**63 - 1), _whole(1, 1024)
 
 
 def parse_ports(text: str) -> dict[str, int]:
-    """Return TCP ports by the name of the simulated device."""
     devices, ports = ("rail", "robot", "tracker", "control"), dict[str, int]()
     for word in text.split(","):
         name, _, port = word.partition("=")
@@ -224,7 +223,6 @@ def parse_run_name(text: str) -> str:
 
 
 def parse_note(text: str) -> str:
-    """Return text that a journal can store."""
     if len(text) > LONGEST:
         raise argparse.ArgumentTypeError(f"expected at most {LONGEST} characters, got {len(text)}")
     return clean(text)

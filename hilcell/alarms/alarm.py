@@ -147,7 +147,6 @@ class Alarm:
 
     @property
     def mark(self) -> tuple[str, int, str]:
-        """Return the identity of an alarm that is raised again."""
         return self.code, self.origin or self.seq, self.where
 
 
@@ -228,7 +227,6 @@ class _Raised:
                     yield _cell("HC-R12", "link", self.log.link.counts, record)
 
     def points(self) -> Iterator[Finding]:
-        """Yield outliers and unusable sweeps."""
         for record in self.session:
             match record.fact:
                 case events.OutlierRemeasured(key=key):
@@ -298,7 +296,6 @@ class _Raised:
             yield from self._of_error(end.error, newest, "fault", "not watched")
 
     def lost(self) -> Iterator[Finding]:
-        """Yield that the run's calibration file is missing."""
         if self.log.calibrates:
             newest = self.log.life[-1]
             yield _cell("HC-J11", "calibration", "it has no file", newest, "watched")
@@ -307,7 +304,6 @@ class _Raised:
     def _of_error(
         error: Json, at: Record | Change, severity: Severity | None = None, cause: Cause = "over"
     ) -> Iterator[Finding]:
-        """Yield the findings of a record's error."""
         for finding in findings_of(error):
             yield replace(finding, at=at, severity=severity, cause=cause)
 
@@ -404,7 +400,6 @@ class Latch:
         self._latched[alarm.code] = Latched(alarm, severity, before.count + 1)
 
     def _acknowledge_until(self, code: str, acknowledged: Mapping[str, int]) -> None:
-        """Acknowledge an alarm that was acknowledged on any screen."""
         latched, until = self._latched.get(code), acknowledged.get(code)
         if latched is not None and until is not None and latched.alarm.seq <= until:
             self._keep(code, replace(latched, acknowledged=True))

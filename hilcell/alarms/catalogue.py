@@ -58,7 +58,6 @@ class Entry:
 
     @property
     def specific(self) -> bool:
-        """Whether the entry describes a specific fault."""
         return self.code not in (*UNKNOWN.values(), UNKNOWN_VERDICT)
 
 

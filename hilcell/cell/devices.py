@@ -155,7 +155,6 @@ def tracker_accuracy(cell: Cell) -> ports.StatesAccuracy | None:
 
 
 def abilities(cell: Cell) -> dict[str, bool]:
-    """Return the optional abilities of the cell's drivers."""
     tracker = load_entry("trackers", cell.tracker.driver)
     return {
         "tracker_streams": issubclass(tracker, ports.Streams),
@@ -244,7 +243,6 @@ def device_addresses(
 
 
 def unknown_drivers(drivers: Mapping[str, str]) -> list[str]:
-    """Return the problems of drivers, given by table."""
     problems: list[str] = []
     for table, group in TABLES:
         try:
@@ -315,7 +313,6 @@ def placeholder_addresses(cell: Cell) -> dict[str, dict[str, object]]:
 
 
 def is_replay(cell: Cell) -> bool:
-    """Whether runs of the cell replay a recorded one."""
     return cell.simulation is not None and issubclass(
         load_entry("simulators", cell.simulation.simulator), ports.RepeatsRun
     )

@@ -120,12 +120,10 @@ class PlanTable(Frozen, frozen=True, kw_only=True):
     tilt_poses: Annotated[int, Meta(ge=4, le=100)] = 24
 
     def samples(self, full: int, quick: int) -> int:
-        """Return the number of averaged readings in this plan."""
         return min(full, quick) if self.quick else full
 
     @property
     def turns(self) -> bool:
-        """Whether targets have other orientations than the grid's."""
         return self.tilt_deg > 0.0 or bool(self.grid_orientations)
 
     @property
@@ -322,7 +320,6 @@ class GridTable(Frozen, frozen=True, kw_only=True):
 
     @property
     def cells(self) -> tuple[int, ...]:
-        """Return the number of grid cells along x, y and z."""
         return tuple(round(size / self.pitch_mm) for size in self.size_mm)
 
 
@@ -595,12 +592,10 @@ class Cell(Frozen, frozen=True, kw_only=True):
 
     @property
     def verification_samples(self) -> int:
-        """Number of readings of a floor nest that verify the tracker."""
         return self.plan.samples(self.layout.nest_samples, quick=2)
 
     @property
     def nest_samples(self) -> int:
-        """Number of averaged readings of a nest."""
         return self.plan.samples(self.layout.nest_samples, quick=5)
 
     @cached_property

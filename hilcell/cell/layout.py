@@ -115,7 +115,6 @@ class Layout(Frozen, frozen=True, kw_only=True):
 
     @property
     def by_hand(self) -> bool:
-        """Whether one reflector is carried from nest to nest by hand."""
         return self.reflectors == "by_hand"
 
     def nominal_base(self, rail_mm: float) -> Array:

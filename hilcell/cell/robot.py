@@ -91,7 +91,6 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
         )
 
     def _bad_reflector_places(self) -> Iterator[str]:
-        """Yield reasons why several reflectors cannot measure an orientation."""
         if not self.more_smr_mm:
             return
         seats_mm = self.seats_mm
@@ -129,7 +128,6 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
         return arm_from_joints(self.joint, tool)
 
     def nominal(self) -> NominalRobot:
-        """Return the robot of the controller's nominal kinematics."""
         home_rad = np.radians(self.home_deg)
         return NominalRobot(self.arm(), self.status, self.margin_limits_rad, home_rad)
 

@@ -48,7 +48,6 @@ class Unread(AttributeError):
 
 
 def is_read(table: S, field: Callable[[S], object]) -> bool:
-    """Whether a field of a table could be read."""
     try:
         field(table)
     except Unread:

@@ -145,6 +145,5 @@ def _has(text: str, steps: Sequence[str]) -> bool | None:
 
 
 def _overlap(path: str, other: str) -> bool:
-    """Whether one path equals or contains the other."""
     short, long = sorted((path, other), key=len)
     return long == short or long.startswith((f"{short}.", f"{short}["))

@@ -130,7 +130,6 @@ class InstrumentDcc:
 
     @staticmethod
     def _floats(quantity: Element, name: str) -> Iterator[float]:
-        """Yield the numbers of a quantity's own element, or of its uncertainty's."""
         element = next(quantity.iter(f"{SI}{name}"), None)
         for word in ("" if element is None else element.text or "").split():
             try:

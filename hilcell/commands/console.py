@@ -37,7 +37,6 @@ def print_message(text: str) -> None:
 
 
 def print_error(error: Exception) -> None:
-    """Print an error on stderr, an unexpected one with its traceback."""
     if isinstance(error, HilcellError):
         print_message(f"hilcell: {error}")
     else:

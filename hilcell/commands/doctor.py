@@ -275,7 +275,6 @@ def _keys() -> Finding:
 
 
 def _drivers() -> Finding:
-    """Load all installed drivers, simulated devices, program formats and alarm catalogues."""
     problems = list[str]()
     for group in PARTS:
         for name in installed(group):

@@ -79,7 +79,6 @@ class Parser(argparse.ArgumentParser):
             self.add_argument(*field.names, dest=name, required=field.must_be_given, **options)
 
     def format_help(self) -> str:
-        """Return the help, with the commands in their groups."""
         if self.commands is None or not self.groups:
             return super().format_help()
         formatter = self._get_formatter()
@@ -165,7 +164,6 @@ class Parser(argparse.ArgumentParser):
 
 
 def build(signature: type[S], values: Mapping[str, object]) -> S:
-    """Return a signature with parsed values."""
     fields: dict[str, object] = {}
     for name, hint in get_type_hints(signature).items():
         value = build(hint, values) if is_signature(hint) else values[name]

@@ -105,7 +105,6 @@ def _names(names: Sequence[str]) -> str:
 
 
 def show(args: PlantShow) -> int:
-    """Show cells, robots, stations, instruments and alarms of the plant's records."""
     with closing(_open_database(args.plant)) as database:
         database.check()
         with database.transaction() as connection:
@@ -318,7 +317,6 @@ def verify(args: PlantVerify) -> int:
 
 
 def _passphrase() -> bytes | None:
-    """Ask for the passphrase of an encrypted key, in a terminal."""
     if not (sys.stdin is not None and sys.stdin.isatty()):
         return None
     try:

@@ -62,7 +62,6 @@ def resume(args: Resume) -> int:
 
 
 def _performed(engine: Engine, *, as_json: bool) -> int:
-    """Run to the end, print it, and return the exit code."""
     plan, log, name = engine.plan, engine.journal.log, engine.journal.run
     output = JsonOutput(name) if as_json else ProgressOutput(plan.folder, plan.points)
     code, fault, unclosed = engine.run(output)
@@ -173,7 +172,6 @@ def confirmed(
 
 
 def _moves(log: Log, procedure: Procedure) -> str:
-    """Return the step with which the run continues, and what it moves."""
     begun = [each.number for each in log.happened(StepBegun)]
     number = min(begun[-1] if begun else 1, len(procedure.steps))
     step = procedure.steps[number - 1]

@@ -158,7 +158,6 @@ class ProgressOutput(RunOutput):
         self._progress.update(self._task, completed=count, total=total, description=description)
 
     def print_record(self, record: Record) -> None:
-        """Advance the bar, or print what the operator must know."""
         match record.fact:
             case Point(group=group, station=station) if group != CONTROL:
                 self._measured.add(record.key)

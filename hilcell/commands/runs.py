@@ -273,7 +273,6 @@ def compare(args: Compare) -> int:
 
 
 def report(args: Report) -> int:
-    """Write one self-contained HTML file, or a PDF by its suffix."""
     from hilcell.report.html import PARTS, report_html
     from hilcell.report.pdf import find_browser, pages_of, pdf_of
 

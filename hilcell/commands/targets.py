@@ -129,7 +129,6 @@ STATIONS: tuple[Column[tuple[str, float | None, int, float, float]], ...] = (
 
 
 def compensate(args: Compensate) -> int:
-    """Write corrected targets, or a corrected program, for one station."""
     check_settings(args.cell, dict(args.settings))
     job = StationTargets.plan(
         load_cell(args.cell, dict(args.settings)) if args.cell else None,

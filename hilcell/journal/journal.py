@@ -288,7 +288,6 @@ class Journal:
         )
 
     def _refuse(self, found: str, record: int) -> None:
-        """Acknowledge nothing more."""
         self._unsound = StorageError(
             f"journal {self.path}: it lacks some of the {self._seq} records that were written: "
             f"{found}; the file was damaged while run {self.run} wrote it; "
@@ -304,7 +303,6 @@ class Journal:
             listener(record)
 
     def _check_files(self) -> None:
-        """Refuse to write into files that were removed, replaced or truncated."""
         if self._unsound is not None:
             raise self._unsound
         for file in self._files:
@@ -317,7 +315,6 @@ class Journal:
                 )
 
     def _check_size(self) -> None:
-        """Refuse to write a journal too large to be read."""
         if (size := sum(file.size for file in self._files)) > MAX_JOURNAL_BYTES:
             raise StorageError(
                 f"journal {self.path}: it has {size} bytes, expected at most {MAX_JOURNAL_BYTES}; "

@@ -126,7 +126,6 @@ def offset_min() -> int:
 
 
 def local_time_text(t: str, zone: tzinfo | None = None) -> str:
-    """Return the time of day with its zone."""
     return f"{in_zone(t, zone):%H:%M:%S %Z}"
 
 

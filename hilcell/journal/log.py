@@ -512,7 +512,6 @@ class Log:
         return (point for point in points if point.id.seat is None)
 
     def recorded(self, point: Point) -> int:
-        """Return the number of a point's record."""
         return self._keys[point.id.kind][point.key]
 
     def last_recorded(self, besides: Collection[str]) -> int:
@@ -527,7 +526,6 @@ class Log:
 
     @property
     def was_connected(self) -> bool:
-        """Whether all devices were connected in this session."""
         connected = (each.seq for each in self.events if isinstance(each.fact, events.Connected))
         return max(connected, default=0) > self.began
 
@@ -568,7 +566,6 @@ def positions_mm(points: Iterable[Point]) -> Array:
 
 
 def repeated_visits(log: Log) -> list[list[Point]]:
-    """Return the points of each place with repeated visits."""
     places: dict[int | None, list[Point]] = {}
     for point in log.select("repeatability"):
         places.setdefault(point.id.place, []).append(point)

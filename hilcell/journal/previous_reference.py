@@ -117,7 +117,6 @@ class _Measured:
         }
 
     def _same_robot(self) -> bool:
-        """Whether the robot is the same, apart from its repeatability."""
         now = self.cell.robot
         return msgspec.structs.replace(self.log.cell.robot, rp_mm=now.rp_mm) == now
 

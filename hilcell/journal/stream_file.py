@@ -58,7 +58,6 @@ class StreamFile:
         self._digest = hashlib.sha256()
 
     def __enter__(self) -> Self:
-        """Remove unfinished files and begin."""
         try:
             self._folder.mkdir(exist_ok=True)
             for left in self._folder.glob(f"*{self.UNFINISHED}"):

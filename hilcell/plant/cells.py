@@ -175,7 +175,6 @@ class _Inconsistencies:
                 yield names, f"cells {cells} have the same serial number {clean(serial)}: {own}"
 
     def robots(self) -> Iterator[Inconsistency]:
-        """Yield robots that worked alternately in several cells."""
         place = (RUN.c.robot, RUN.c.cell, RUN.c.serial)
         first = func.min(RUN.c.begun)
         query = select(*place, first.label("first"), func.max(RUN.c.ended).label("last"))
@@ -192,7 +191,6 @@ class _Inconsistencies:
                 yield names, text
 
     def namesakes(self) -> Iterator[Inconsistency]:
-        """Yield cells in which several runs have one name."""
         columns = (RUN.c.cell, RUN.c.serial, RUN.c.name)
         query = select(*columns).group_by(*columns).order_by(*columns)
         query = query.having(func.count(RUN.c.run_key.distinct()) > 1)

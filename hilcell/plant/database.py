@@ -124,7 +124,6 @@ class Database:
         self.engine.dispose()
 
     def _check_place(self) -> None:
-        """Refuse a path that cannot be a file."""
         if self._remote:
             return
         file = Path(self._url.database or "")
@@ -136,7 +135,6 @@ class Database:
 
     @staticmethod
     def _connected(dialect: object, record: object, words: list[str], options: Json) -> object:
-        """Open SQLAlchemy's connection with the deadlines of a server."""
         from hilcell.plant import deadlines  # loads psycopg
 
         return deadlines.connect(*words, **options)

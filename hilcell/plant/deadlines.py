@@ -62,7 +62,6 @@ class Silent(psycopg.OperationalError):
 
 
 def connect(*args: Any, **options: Any) -> Bounded:
-    """Open a connection with these deadlines."""
     try:
         options |= OPTIONS
         return Bounded.connect(*args, **options)

@@ -260,7 +260,6 @@ class _Robots:
         )  # fmt: skip
 
     def _messages(self, first: Row, second: Row) -> list[str]:
-        """Return changed devices, failed re-checks and alarms between two runs."""
         aborted = and_(RUN.c.digest == first.digest, RUN.c.state != "finished")  # after its grid
         between = and_(
             *(column == getattr(first, column.name) for column in CELL),

@@ -79,7 +79,6 @@ def heads(records: Sequence[Record]) -> list[str]:
 
 
 def run_key_of(run: str, records: Sequence[Record]) -> tuple[UUID, int]:
-    """Return the key of a run, and its present revision."""
     first = chain(b"", records[0]).hex()
     return first_128_bits(f"{run}\n{first}".encode()), records[-1].seq
 
@@ -235,7 +234,6 @@ def _verdict(log: Log, record: Record) -> Values:
 
 
 def _grid(log: Log) -> Iterator[Values]:
-    """Yield the errors at the vertices of a completely measured grid."""
     points = log.select("grid")
     if not points or not {"world", "base"} <= log.frames.keys():
         return

@@ -246,7 +246,6 @@ def _waiting(runs: Path, rows: Sequence[RunRow]) -> dict[str, Key]:
 
 
 def _newer_in_database(database: Database, here: dict[str, Key]) -> dict[str, Behind]:
-    """Return the runs with later records in the database than in this folder."""
     with database.transaction() as connection:
         newest = dict(
             sorted(shipped_revisions(connection, here.values()))
@@ -290,7 +289,6 @@ class _ShippedCache:
         self._runs = runs
 
     def known(self, rows: Sequence[RunRow]) -> dict[str, Key]:
-        """Return the keys of the unchanged runs."""
         by_name = {row.name: row for row in rows}
         known: dict[str, Key] = {}
         with suppress(sqlite3.Error), closing(self._open()) as base:
@@ -306,7 +304,6 @@ class _ShippedCache:
             base.execute("INSERT OR REPLACE INTO seen VALUES (?, ?, ?, ?)", values)
 
     def _fingerprint(self, row: RunRow) -> str:
-        """Return a digest of the journal file's status and its row in the index."""
         file = (self._runs / row.name / JOURNAL).stat()
         content = f"{file.st_mtime_ns} {file.st_size} ".encode() + msgspec.json.encode(row)
         return hashlib.sha256(content).hexdigest()

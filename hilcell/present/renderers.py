@@ -39,7 +39,6 @@ def drawn(table: Table, room: int | None) -> str:
 
 
 def width_of(table: Table) -> int:
-    """Return how many columns of a terminal a table takes, unfolded."""
     from rich.console import Console
     from rich.measure import Measurement
 

@@ -88,7 +88,6 @@ def vector(
 
 
 def listed(*names: str) -> list[Column[Sequence[Value]]]:
-    """Return columns of words for rows that are sequences."""
     return [Column(name, itemgetter(n)) for n, name in enumerate(names)]
 
 

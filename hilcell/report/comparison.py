@@ -135,7 +135,6 @@ class Comparison:
 
     @property
     def verdict(self) -> str:
-        """Return the whole in one sentence."""
         judged = [c for c in self.changes if c.verdict and c.group != "air"]
         if not judged:
             return "no uncertainty is stated for the figures of both runs: nothing is judged"

@@ -121,7 +121,6 @@ class Facts:
         return words if self.is_paper else ""
 
     def series_name(self, how: Sent) -> str:
-        """Return how a series of targets is called."""
         match how:
             case Sent.BEFORE:
                 return "before"

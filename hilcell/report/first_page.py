@@ -67,7 +67,6 @@ class Result:
 
     @property
     def outcome(self) -> Outcome | None:
-        """Return whether it keeps the limit, by the decision rule."""
         if self.U is None:
             return None
         return gravest([outcome_of(self.after, self.limit, self.U), self.also])
@@ -233,7 +232,6 @@ class FirstPage:
         )
 
     def item_facts(self, measured: str) -> list[Fact]:
-        """Return what was calibrated, for whom, when."""
         cell = self.facts.cell
         robot = self.facts.asset("robot")
         serial = "" if robot is None else f", serial {robot.serial}"
@@ -382,7 +380,6 @@ def verdicts(facts: Facts) -> Table:
 
 
 def typeset(words: str) -> str:
-    """Return words with the signs of print."""
     signs = {"<=": "≤", r"\+-": "±", r" deg\b": "°", r"\burad\b": "µrad"}
     for written, shown in signs.items():
         words = re.sub(written, shown, words)

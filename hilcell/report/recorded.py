@@ -62,7 +62,6 @@ class Run:
 
     @property
     def points(self) -> Mapping[str, Point]:
-        """Return the points that count, by key."""
         return self.facts.log.points
 
     @property

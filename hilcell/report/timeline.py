@@ -164,7 +164,6 @@ class _Timeline:
 
     @staticmethod
     def _chosen_poses_words(facts: Facts, chosen: PosesChosen) -> str:
-        """Return how many poses were chosen beside the grid, and why no more."""
         plan, count, bounds_mm = facts.cell.plan, len(chosen.joints_deg), chosen.bounds_mm
         if not bounds_mm:
             return "none"

@@ -85,7 +85,6 @@ class _StepProgress:
         return None
 
     def left(self) -> list[tuple[Span, int]]:
-        """Return the remaining spans, each with its number of remaining measurements."""
         ahead = [*zip(self.spans, self.taken, strict=True)][self.at :]
         return [(span, span.measured - taken) for span, taken in ahead]
 
@@ -104,7 +103,6 @@ class _Pace:
         return self.share > 0 or self._all_planned_s > 0
 
     def learn(self, span: Span, real_s: float) -> None:
-        """Learn from the real duration of one measurement."""
         extra_s = real_s - self.share * span.each_s
         self._counts[span.kind] += 1
         self._extra_s[span.kind] += extra_s

@@ -129,7 +129,6 @@ class Meter(Mover):
         return self._measure_floor_nest(id, nest, samples)
 
     def second_face_point(self, id: PointId, nest: Nest, samples: int) -> Point:
-        """Measure a floor nest in the tracker's second face."""
         if known := self.log.find(id):
             return known
         self.checkpoint()
@@ -144,7 +143,6 @@ class Meter(Mover):
         return self._measure_floor_nest(id, nest, self.cell.nest_samples)
 
     def return_reflectors(self, nest: Nest) -> None:
-        """Request that every reflector is returned to its own place."""
         self.checkpoint()
         self._swap(nest.name, nest)
 

@@ -342,7 +342,6 @@ class Mover(RunContext):
         self._robot, self.began = motion.robot, motion.began
 
     def park_robot(self) -> None:
-        """Bring the robot to its safe pose."""
         self.checkpoint()
         self.parked()
 

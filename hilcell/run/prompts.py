@@ -169,7 +169,6 @@ FLANGE = "flange"
 
 
 def where(cell: Cell, place: str) -> str:
-    """Return a description of a nest's position for the operator."""
     layout = cell.layout
     for nests, on in ((layout.floor, "floor"), (layout.bar, "bar"), (layout.slide, "slide")):
         for nest in nests:

@@ -246,7 +246,6 @@ class Runner:
                 continue
 
     def _follow(self, message: Message) -> None:
-        """Enter the state that the worker has reached."""
         match message:
             case Started():
                 self._go_on("start")
@@ -298,7 +297,6 @@ class Runner:
             self._life.fire("pause")
 
     def _look_for_screens(self, *, lost: bool) -> None:
-        """Pause or continue by the number of screens that attend now."""
         if lost and not self._screens:
             self._unwatched = True
             self._journal.append("event", "", ScreenLost())
@@ -395,7 +393,6 @@ class Runner:
             self._journal.append("event", "", InternalError(trace=trace))
 
     def _note(self, kind: Callable[..., Closing], problems: dict[str, Exception]) -> None:
-        """Journal that devices were stopped or closed, and the failures."""
         left = self._left_moving(problems)
         words = {name: str(error) for name, error in left.items()}
         errors = {name: facts_of(error) for name, error in left.items()}

@@ -212,7 +212,6 @@ class Worker:
         return not self._thread.is_alive()
 
     def release(self) -> None:
-        """Unlock the devices that the worker has locked."""
         self._locks.close()
 
     # -- the thread ---------------------------------------------------------------------------

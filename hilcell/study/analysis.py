@@ -122,7 +122,6 @@ class Additive:
 
     @property
     def unknowns(self) -> int:
-        """Return how many unknowns it has, of what varies."""
         varies = np.ptp(self._rows, axis=0) > 0.0
         return 1 + sum(
             max(0, int(varies[part].sum()) - (not each.is_range))  # of levels one is the others'
@@ -145,11 +144,9 @@ class Additive:
         return found
 
     def change(self, n: int, level: int, start: int) -> Array:
-        """Return the contrast of a level, or an end, against another."""
         return self.mean(n, level) - self.mean(n, start)
 
     def estimable(self, contrast: Array) -> bool:
-        """Whether a contrast lies in the space of the points' rows."""
         rest = contrast - self._basis.T @ (self._basis @ contrast)
         return bool(np.linalg.norm(rest) <= SAME * max(1.0, float(np.linalg.norm(contrast))))
 
@@ -231,12 +228,10 @@ class Effect:
 
     @property
     def is_step(self) -> bool:
-        """Whether it is a change that is estimable."""
         return self.word != self.start and math.isfinite(self.change.mean)
 
     @property
     def gains(self) -> bool:
-        """Whether it is shown to be more accurate than the start."""
         return self.change.known and self.change.mean < 0.0
 
 
@@ -270,7 +265,6 @@ class Answers:
 
 
 def answers(study: Study, rows: Rows) -> Answers:
-    """Compute the answers of all rows that are there."""
     counts = Counter(row.state for row in rows)
     done = [row for row in rows if row.state == DONE]
     found = designs(study, done)
@@ -294,12 +288,10 @@ def answers(study: Study, rows: Rows) -> Answers:
 
 
 def whole(study: Study, found: Sequence[Design]) -> list[Design]:
-    """Return the designs that every machine did."""
     return [each for each in found if each.cases == study.machines * study.seeds]
 
 
 def value(wanted: Optimum, design: Design) -> float:
-    """Return what an optimiser minimises."""
     if wanted.most_minutes is not None and not design.minutes <= wanted.most_minutes:
         return TOO_LONG + design.minutes
     return design.accuracy.mean + (wanted.mm_per_minute or 0.0) * design.minutes

@@ -138,7 +138,6 @@ class _Validated:
         self.targets = float(sum(place.points for place in self.places))
 
     def mean(self, of: Callable[[Place], float]) -> float:
-        """Return the mean over all targets of all stations."""
         return sum(place.points * of(place) for place in self.places) / self.targets
 
     def by_idw(self) -> float | None:
@@ -186,7 +185,6 @@ RESULTS: Mapping[str, tuple[str, Callable[[_Validated], float | None]]] = {
 
 
 def figures(result: Calibrated) -> dict[str, float]:
-    """Return the figures of a run, by name."""
     run = _Validated(result)
     values = {name: value(run) for name, (_, value) in RESULTS.items()}
     return {name: value for name, value in values.items() if value is not None}

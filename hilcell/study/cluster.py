@@ -309,7 +309,6 @@ def _quiet() -> Iterator[None]:
 
 @contextmanager
 def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    """Set variables for child processes."""
     before = {name: os.environ[name] for name in values if name in os.environ}
     os.environ.update(values)
     try:

@@ -62,7 +62,6 @@ class Point:
 
     @property
     def cost(self) -> float:
-        """Money for its choices."""
         return sum(each.cost for each in self.choices)
 
     @property
@@ -165,7 +164,6 @@ def choices_at(study: Study, place: Sequence[float]) -> tuple[Choice, ...]:
 
 
 def generation(study: Study, wanted: Optimum) -> int:
-    """Return the number of points of an optimiser's generation."""
     return min(wanted.trials, max(8, 4 * len(study.factor)))
 
 

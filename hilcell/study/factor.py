@@ -51,7 +51,6 @@ class Distribution(Frozen, frozen=True, kw_only=True):
         return ", ".join([self.kind, *(f"{key} {each:g}" for key, each in self.stated.items())])
 
     def problems_between(self, low: float, high: float) -> Iterator[str]:
-        """Yield why nothing can be drawn between two ends."""
         from scipy.stats import norm
 
         if self.kind.startswith("log") and not low > 0.0:
@@ -149,7 +148,6 @@ class Factor(Frozen, frozen=True, kw_only=True):
 
     @property
     def is_range(self) -> bool:
-        """Whether it varies between two ends."""
         return self.levels is None
 
     @property
@@ -177,7 +175,6 @@ class Factor(Frozen, frozen=True, kw_only=True):
 
     @property
     def names(self) -> list[str]:
-        """Return what each level, or each end, is called."""
         return self.labels or [_word(each) for each in self.ends]
 
     @property

@@ -139,7 +139,6 @@ class Results:
         return [self._row(each) for each in self.table().to_pylist()]
 
     def finished(self) -> set[int]:
-        """Return the numbers of the stored cases."""
         return set(self.table()["case"].to_pylist())
 
     def merge(self) -> None:
@@ -264,7 +263,6 @@ class Results:
 
     @staticmethod
     def _remove(made: Sequence[Path], *files: Path) -> None:
-        """Remove files, and new folders that are empty."""
         for file in files:
             with suppress(OSError):
                 file.unlink()

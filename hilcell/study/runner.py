@@ -119,8 +119,6 @@ def run_study(
         stack.callback(batch.store)
 
         def measure(requested: Iterable[Case]) -> Iterator[Row]:
-            """Yield the rows of missing cases."""
-
             def store(case: Case, result: CaseResult) -> Row:
                 row = case_row(case, result, study)
                 batch.add(row)

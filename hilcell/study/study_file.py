@@ -198,7 +198,6 @@ def read_study(path: Path) -> Study:
 
 
 def _place(cell: str, folder: Path) -> str:
-    """Return a built-in cell, or the file beside the study's."""
     return cell if cell in built_in_cells() else str(folder / cell)
 
 

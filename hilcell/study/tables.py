@@ -160,7 +160,6 @@ class Summary:
         return Table(columns, counts.most_common(most), "Cases without a result", note)
 
     def counts(self) -> str:
-        """Return how many cases ended how."""
         study, planned, counts = self.study, self.study.most_cases, self.found.counts
         ended = [
             f"{counts[state]} {state}" for state in (DONE, CANNOT_BE, FAILED) if state in counts

@@ -154,7 +154,6 @@ def ends(left: Cell, right: Cell) -> Grid:
 
 
 def labelled_rows(facts: Iterable[tuple[str, Text]], width: int = 12) -> Grid:
-    """Return names with their texts, which wrap beside them."""
     rows = [((name, "$label"), text) for name, text in facts]
     return Grid(rows, Col(width), Col(grows=True, wraps=True))
 

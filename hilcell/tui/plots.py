@@ -80,7 +80,6 @@ class Scale:
 
     @property
     def decimals(self) -> int:
-        """Return the decimals that every tick is written with."""
         least = self.low if self.is_log else self.step
         return max(0, -math.floor(math.log10(least) + ROUNDING))
 
@@ -111,7 +110,6 @@ class Scale:
         return ticks[:1]
 
     def _ladders(self) -> Iterable[list[float]]:
-        """Yield the ticks, fewer each time."""
         if self.is_log:
             steps = [self.low]
             while steps[-1] < self.high * (1 - ROUNDING):

@@ -158,6 +158,5 @@ class RunView:
         return self.status.prompt
 
     def allows(self, trigger: str) -> bool:
-        """Whether the table of the run's life allows a trigger now."""
         state = self.log.state
         return any(name == trigger and state in sources for name, sources, _ in RUN.rows)

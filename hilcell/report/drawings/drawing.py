@@ -192,7 +192,6 @@ class Frame:
         return np.stack([self.x.at(x), self.y.at(y)], axis=1)
 
     def level(self, y: float, colour: str = INK, wide: float = 0.3, dash: str = "") -> str:
-        """Return a line across at a value of y."""
         at = self.y.one(y)
         return path([(self.x.begin, at), (self.x.end, at)], colour, wide, dash)
 

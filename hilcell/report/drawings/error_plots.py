@@ -266,7 +266,6 @@ class _Times:
         ]
 
     def stops(self, frame: Frame) -> Iterator[str]:
-        """Yield a hatched box for each time between two sessions."""
         before = ""
         for record in self.facts.records:
             match record.fact:

@@ -246,6 +246,5 @@ class _Side:
         yield text(self._word_x(), y - 2.2, "tracker", "middle", bold=True)
 
     def _word_x(self) -> float:
-        """Return the middle of the tracker's name, inside the drawing."""
         x, _ = self._at(self._tracker)
         return min(max(x, self.TRACKER_MM), self.WIDTH_MM - self.TRACKER_MM)

@@ -125,7 +125,6 @@ class Application(App[int]):
 
     @property
     def page(self) -> BaseScreen | Screen[object]:
-        """Return the screen under an open question or the palette."""
         pages = (each for each in reversed(self.screen_stack) if isinstance(each, BaseScreen))
         return next(pages, self.screen)
 

@@ -124,7 +124,6 @@ class FilterScreen(BaseScreen):
     filter_text = ""
 
     def filter_box(self, hint: str) -> Input:
-        """Return the filter's text box, shown under the rows."""
         box = TextField(placeholder=hint, id="find")
         box.display = False
         return box
@@ -372,7 +371,6 @@ class _Column(NamedTuple):
 
 
 def _outcome(run: RunRow) -> str:
-    """Return the verdict of a run that has ended, the state of every other."""
     if run.live:
         return "LIVE " + run.state
     return run.verdict.partition(";")[0] or ("engine gone" if run.gone else run.condition)

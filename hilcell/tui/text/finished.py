@@ -129,7 +129,6 @@ class Head:
 
     @staticmethod
     def is_small(width: int, rows: int) -> bool:
-        """Whether the large form has no room."""
         return width < 78 or rows < 14
 
     def block(self, mark: Content, glyphs: Glyphs) -> list[Content]:
@@ -145,7 +144,6 @@ class Head:
         return [*words, last.stylize_before(self.style.removeprefix("bold "))]
 
     def small(self, mark: Content, glyphs: Glyphs) -> Lines:
-        """Return the words in one line, and each figure in one."""
         stated = (self.stated,) if len(self.words) == 1 else ()
         text = "  ".join(["", " ".join(self.words), *stated, ""])
         rows: list[list[Cell]] = []
@@ -193,7 +191,6 @@ class Station:
 
     @property
     def short(self) -> str:
-        """Return its name, which leaves room for figures."""
         return Content(harmless(self.name)).truncate(20, ellipsis=True).plain
 
     @property
@@ -252,7 +249,6 @@ class Finished:
 
     @property
     def words(self) -> tuple[str, str]:
-        """Return the verdict in one word, and what it states."""
         undecided = self.outcome is Outcome.UNDECIDED
         meaning = "neither pass nor fail" if undecided else self.outcome.text
         return self.outcome.short.upper(), meaning
@@ -341,7 +337,6 @@ class Finished:
         ]
 
     def _advice(self, view: RunView, glyphs: Glyphs) -> list[Lines | Text]:
-        """Return why the run failed, with the stations concerned, and the steps, each whole."""
         alarm = max(view.alarms, key=lambda alarm: SEVERITIES.index(alarm.severity))
         where = f"{alarm.where}: " if alarm.where else ""
         words = with_labels(f"{where}{alarm.found}", view.log)

@@ -128,7 +128,6 @@ class Measured:
 
     @cached_property
     def visits_mm(self) -> dict[str, Array]:
-        """Return the distances of repeated readings from their mean, by place."""
         by_place: dict[str, list[Point]] = {}
         for kind in ("repeat", "repeatability", ISO):
             for point in self.log.measured(kind):

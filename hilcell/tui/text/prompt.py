@@ -128,7 +128,6 @@ class PromptText:
         return not prompt.check or (prompt.ready and not view.stale and prompt.age_s is not None)
 
     def _off(self, *, low: bool) -> list[Content]:
-        """Return how far the reflector is off its place, large, and the limit."""
         prompt, view = self.prompt, self.view
         known = prompt.seen_mm is not None and prompt.age_s is not None and not view.stale
         style = "$stale" if not known else "$passed" if self.is_ready else "$ask"
