@@ -334,7 +334,7 @@ class StripReader:
         return self._counts, LOST
 
     def reconnect(self) -> None:
-        """Open the wire of a strip that was lost again, if it lets itself be opened."""
+        """Open the wire of a strip that was lost again, if it can be opened."""
         if self._lost is not None:
             self._before = self.statistics()
             try:

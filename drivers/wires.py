@@ -202,7 +202,7 @@ def open_link(device: Device, channel: str, check: Callable[[], None]) -> Link:
 class TextLines:
     """Lines of ASCII text over one wire: whole lines in, whole lines out.
 
-    A wrong baud rate or a line that died in mid-byte shows as bytes that are no text: such a line
+    A wrong baud rate or a line that failed in mid-byte shows as bytes that are no text: such a line
     is an error, never an answer. A line without an end is one, too.
     """
 

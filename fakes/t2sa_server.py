@@ -226,7 +226,7 @@ def read_points(path: Path) -> dict[str, Array]:
         return {row[0]: np.array([float(each) for each in row[1:4]]) for row in rows}
     except (OSError, ValueError) as error:
         raise SettingsError(
-            str(path), [f"SpatialAnalyzer imports no such list: {error}"]
+            str(path), [f"SpatialAnalyzer cannot import this list: {error}"]
         ) from error
 
 

@@ -56,7 +56,7 @@ class CellTime:
 
     def __init__(self, speed: float = math.inf) -> None:
         self.speed = speed
-        self.stepped = math.isinf(speed)  # time passes only when it is made to
+        self.stepped = math.isinf(speed)  # time passes only when advanced explicitly
         self._lock = threading.Lock()
         self._stepped_s = 0.0
         self._start_s = time.monotonic()

@@ -288,7 +288,7 @@ def is_proof(key: str) -> bool:
     return key.partition("/")[0] in (*PROOFS, *CHECKS)
 
 
-def pose_characteristics(key: str) -> str:
+def pose_key(key: str) -> str:
     """Return a key without its reflector: all reflectors of a pose are measured together."""
     pose, _, seat = key.rpartition("/")
     return pose if seat.startswith(SEAT) and seat.removeprefix(SEAT).isdecimal() else key
@@ -430,7 +430,7 @@ class Checker(RecordedRun):
         yield "I4", not missing, f"{record.key} lacks {', '.join(missing)}"
         if point.commanded_deg and point.group != "campaign":
             last = self.last_key or "none"
-            here = pose_characteristics(last) == pose_characteristics(record.key)
+            here = pose_key(last) == pose_key(record.key)
             yield "I4", here, f"{record.key}: the last motion: {last}"
 
     def _at_station(self, key: str, point: Point) -> Iterator[Check]:

@@ -44,7 +44,7 @@ class Campaign:
             raise HilcellError(
                 "reflectors are by_hand: those of a campaign must be mounted", code="HC-C16"
             )
-        rows = pose_numbers(cell)
+        rows = campaign_poses(cell)
         self._check_robot(cell, rows)
         for pose, joints in zip(rows.pose, rows.joints_rad, strict=True):
             check_joint_limits(cell, joints, f"pose {pose}")
@@ -69,7 +69,7 @@ class Campaign:
 
     def perform(self, session: CellSession) -> None:
         session.reach("connect")
-        rows = pose_numbers(session.cell)
+        rows = campaign_poses(session.cell)
         for pose, at in visits_of(rows):
             ids = [PointId("campaign", pose=pose, target=rows.target[n]) for n in at]
             targets = list(zip(ids, rows.xyz_mm[at], strict=True))
@@ -80,7 +80,7 @@ class Campaign:
         return {"campaign": fit_robot(robot_of(log.cell), measured(log)).result}
 
 
-def pose_numbers(cell: Cell) -> Measurements:
+def campaign_poses(cell: Cell) -> Measurements:
     """Return the file's poses; raises `HilcellError` where the cell names none."""
     if cell.campaign is None:
         raise HilcellError(

@@ -314,7 +314,7 @@ def homing_s(*, travel_mm: float, speed_mm_s: float) -> float:
 def start_nodes(link: CanLink, nodes: Sequence[Node], check: Callable[[], None]) -> None:
     """Send NMT START until every node is operational; raises `DeviceError` after `OPERATIONAL_S`.
 
-    Repeated, because a node that has lost a heartbeat takes the first one for too early. For
+    Repeated, because a node that has lost a heartbeat rejects the first one as too early. For
     set-up only: a node that leaves operational later is at fault and is not started again.
     """
     next_s = link.time.listened_s

@@ -141,7 +141,7 @@ class Inbox:
     def refresh(self, check: Callable[[], None]) -> tuple[dict[int, tuple[int, ...]], float]:
         """Send SYNC; return all values by identifier and since when the oldest may be true.
 
-        A lost frame costs one more SYNC; raises `DeviceError` when so many of them bring nothing.
+        A lost frame costs one more SYNC; raises `DeviceError` after that many unanswered SYNCs.
         Values that have waited in this PC for `STALE_S` are asked for again.
         """
         sent, before, sent_s = self._sent, dict(self._answered), self._link.clock.pc_s()
@@ -317,7 +317,7 @@ class ProcessImage:
             raise RAIL.failed("HC-R38", "move", "the rail was stopped")
 
     def quick_stop(self) -> None:
-        """Stop on the quick-stop ramp, and never enable again; any thread, waits for nothing."""
+        """Stop on the quick-stop ramp and never enable again; any thread, waits 0.1 s at most."""
         self._stopped = True
         if self._lock.acquire(timeout=0.1):
             try:

@@ -1,4 +1,4 @@
-"""A robot of Universal Robots by RTDE and a script of ours, ``ur_script/hilcell.script``.
+"""A robot of Universal Robots by RTDE and a script of ours, ``script/hilcell.script``.
 
 The script is sent once. The PC then writes a target and a number into registers; the script moves
 and acknowledges with that number. An acknowledgement alone does not suffice: motion has ended only
@@ -473,7 +473,7 @@ class UrSweep:
         speed_rad_s: float,
         full_rad_s: float,
     ) -> None:
-        """``full_rad_s`` is the axis's speed at 100 %; NaN for an axis that there is not."""
+        """``full_rad_s`` is the axis's speed at 100 %; NaN for a non-existent axis."""
         if not (np.isfinite(end_rad) and self.SLOWEST_RAD_S <= speed_rad_s <= full_rad_s):
             found = f"axis {axis + 1} to {end_rad} rad at {speed_rad_s} rad/s"
             expected = f"{self.SLOWEST_RAD_S} to {full_rad_s:.3f} rad/s"

@@ -229,7 +229,7 @@ class ArmTruth:
         much warmer the arm is than the room's mean.
         """
         true_rad = self.true_joints(joints_rad, side, landing_rad)
-        return self.pose_characteristics(true_rad, self.strain(warm_k))
+        return self.reflector_pose(true_rad, self.strain(warm_k))
 
     def true_joints(self, joints_rad: Array, side: Array, landing_rad: Array) -> Array:
         """Return the true joint angles (..., 6), which do not depend on temperature."""
@@ -240,7 +240,7 @@ class ArmTruth:
         """Return the arm's relative thermal growth."""
         return self._machine.transmission.growth_um_m_k * 1e-6 * warm_k
 
-    def pose_characteristics(self, true_rad: Array, strain: float) -> Array:
+    def reflector_pose(self, true_rad: Array, strain: float) -> Array:
         """Return the reflector's frame in {R}, (..., 4, 4), at true joint angles."""
         return self._chain.pose(true_rad, strain)
 

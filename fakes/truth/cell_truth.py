@@ -129,7 +129,7 @@ class CellTruth:
             return np.tile(self.places_in_world()[name], (len(times_s), 1))
         joints_rad, side, landing_rad = self.robot.past(times_s)
         true_rad = self.arm.true_joints(joints_rad, side, landing_rad)
-        arm = self.arm.pose_characteristics(true_rad, self._strain()) @ self._slip_pose
+        arm = self.arm.reflector_pose(true_rad, self._strain()) @ self._slip_pose
         tool = self.rail.slide_pose() @ self._T_S_R @ arm
         return tool[:, :3, 3] + tool[:, :3, :3] @ self._seats.get(name, np.zeros(3))
 
@@ -141,7 +141,7 @@ class CellTruth:
             (cached_rad, cached_base, cached_strain), places = self._places_cache
             if true_rad is cached_rad and base is cached_base and strain == cached_strain:
                 return places
-        tool = base @ self.arm.pose_characteristics(true_rad, strain) @ self._slip_pose
+        tool = base @ self.arm.reflector_pose(true_rad, strain) @ self._slip_pose
         places = around | {FLANGE: tool[:3, 3]}
         places |= {name: transform_point(tool, at_mm) for name, at_mm in self._seats.items()}
         self._places_cache = ((true_rad, base, strain), places)

@@ -57,8 +57,8 @@ class Trainer:
             self._injected = exercises[int(word) - 1] if word else self._rng.choice(exercises)
             self._cell.strike(self._injected)
             print_message(
-                "The fault occurs at the next occasion in the run. Diagnose it by the screen and "
-                "the alarm, and decide what to do; then press Enter here."
+                "The fault occurs at the next opportunity during the run. Diagnose it by screen "
+                "and alarm, and decide what to do; then press Enter here."
             )
         else:
             print_message(HELP)

@@ -181,7 +181,7 @@ def _other_serials(options: msgspec.Struct) -> Iterator[tuple[str, dict[str, obj
 
 @PROMISES.add("unreachable")
 def unreachable(bench: Bench) -> None:
-    """Connect to nobody raises a DeviceError; a later connect works."""
+    """Connecting to an unreachable address raises a DeviceError; a later connect works."""
     bench.connected().close()
     bench.wires.refuse()
     driver = bench.build()
@@ -251,7 +251,7 @@ def taken(bench: Bench) -> None:
 
 @PROMISES.add("no-number")
 def no_number(bench: Bench) -> None:
-    """A place that is NaN or infinite is refused with a DeviceError."""
+    """A NaN or infinite position is refused with a DeviceError."""
     driver = bench.connected()
     for value in (math.nan, math.inf, -math.inf):
         expect_error(f"a place that is {value}", partial(bench.use.go_invalid, driver, value))

@@ -131,7 +131,7 @@ class Facts:
     def outcome_text(self, outcome: Outcome | None, none: str = "") -> str:
         """Return an outcome as the first page says it: of a simulated cell in brackets.
 
-        ``none`` status where nothing was judged.
+        ``none`` is returned where nothing was judged.
         """
         if outcome is None:
             return none

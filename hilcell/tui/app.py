@@ -1,7 +1,7 @@
 """The screen as an application: it holds one attachment to a run and passes keys on as commands.
 
 The run's state machine says which actions are allowed; the journal gives all that is shown. The
-engine is another process: closing this one stops nothing by surprise. Modules that read journals
+engine is another process: closing the screen does not stop a run. Modules that read journals
 are imported after the first screen is painted.
 """
 

@@ -312,7 +312,7 @@ class _Reader:
             self._check_calls(statement)
 
     def _motion(self, statement: Statement) -> None:
-        self._stands.commanded_deg(())
+        self._stands.start_at(())
         self._moves_in.setdefault(self._surely.program, statement.line)
         target, rest = _target(statement.tokens)
         clause = self._clause(rest)
@@ -324,7 +324,7 @@ class _Reader:
                 return
             self._frames.move(statement.line, clause)
             self._add({f"{statement.line}": inline}, statement)
-            self._stands.commanded_deg([f"{statement.line}"])
+            self._stands.start_at([f"{statement.line}"])
             return
         self._places.add(target[0].start)
         if statement.head in self.JOINTWISE and self._stays(name, statement.line):
@@ -332,7 +332,7 @@ class _Reader:
         self._frames.move(statement.line, clause)
         meant = {each.name: each for each in self._meant(target)}
         self._add(meant, statement)
-        self._stands.commanded_deg(list(meant))
+        self._stands.start_at(list(meant))
 
     def _joint_target(self, statement: Statement, inline: Datum) -> None:
         """Leave a first motion to all six joints as it is, a home move; refuse any other."""
@@ -488,7 +488,7 @@ class _Reader:
         while rest and (rest[0].word in approximations or rest[0].text == ","):
             rest = rest[1:]
         if rest and rest[0].word != "WITH":
-            raise KrlError(f"{quoted(rest)} after the target makes it one that is computed")
+            raise KrlError(f"{quoted(rest)} after the target makes it a computed target")
         return rest[1:]
 
     @staticmethod

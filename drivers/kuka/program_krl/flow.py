@@ -185,7 +185,7 @@ class Flow(Generic[State]):
 class Stop(NamedTuple):
     """Where a motion may end: at a target, ``key``, or at joints.
 
-    ``values`` are those it states, by component; None where they are in none of the files.
+    ``values`` are those it states, by component; None if not defined in these files.
     ``status`` is S where a motion by joints states it.
     """
 
@@ -399,8 +399,8 @@ class StrokeRule:
         self._shift_mm = (0.0, 0.0, 0.0)
         self._interrupted = 0  # the line of an interrupt that may move the robot at any time
 
-    def commanded_deg(self, keys: Sequence[str]) -> None:
-        """Take a motion to one of some targets, or to a place that is not known: to none."""
+    def start_at(self, keys: Sequence[str]) -> None:
+        """Start strokes at one of these targets; without any the place is unknown."""
         self._keys, self._shift_mm = keys, (0.0, 0.0, 0.0)
 
     def pass_by(self, statement: Statement) -> list[Relative]:
@@ -412,7 +412,7 @@ class StrokeRule:
             return [found for each in self._drills[statement.head] for found in self._from(each)]
         moves = any(token.word in self._moving for token in statement.tokens)
         if statement.head in BRANCHES or statement.is_label or moves:
-            self.commanded_deg(())
+            self.start_at(())
         if moves and statement.is_at_any_time:
             self._interrupted = self._interrupted or statement.line
         return []

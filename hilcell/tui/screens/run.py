@@ -22,7 +22,7 @@ from hilcell.tui.text.actions import ACTS, VIEWS, FooterKey, footer_lines
 from hilcell.tui.text.actions import WORDS as SHORT_LABELS
 from hilcell.tui.text.alarms import AlarmBox, newest_line, panel_is_due, saved_text
 from hilcell.tui.text.devices import DeviceText
-from hilcell.tui.text.finished import Result, decode_verdict, result_of
+from hilcell.tui.text.finished import Result, finished_verdict, result_of
 from hilcell.tui.text.points import PointRow, PointRows, columns_for, filtered
 from hilcell.tui.text.prompt import PromptBox
 from hilcell.tui.text.run import RunText, Shown, block_rows
@@ -141,14 +141,14 @@ class RunScreen(FilterScreen):
             return ""
         if panel_is_due(view, self._latched):
             return "alarm"
-        known = decode_verdict(view) is not None or self._result_of(view) is not None
+        known = finished_verdict(view) is not None or self._result_of(view) is not None
         return "verdict" if known else ""
 
     def _result_of(self, view: RunView) -> Result | None:
         end = view.log.end
         if self._result[0] is not end:
             self._result = (end, None)
-            if end is not None and decode_verdict(view) is None:
+            if end is not None and finished_verdict(view) is None:
                 self.application.start_task(self._read_result(view))
         return self._result[1]
 
@@ -176,7 +176,7 @@ class RunScreen(FilterScreen):
                 self._show_verdict(view)
             case _:
                 self._show_deviation(view, Shown.rows_for(height))
-        shown = view.state == "intolerant" and decode_verdict(view) is not None  # by the verdict
+        shown = view.state == "intolerant" and finished_verdict(view) is not None  # by the verdict
         said = instead == "verdict" and len(standing) <= shown
         self.panel("status").display = not said and (bool(standing) or height >= self.FULL - 1)
         self.panel("status").show(self._status(view))
@@ -205,7 +205,7 @@ class RunScreen(FilterScreen):
     def _show_verdict(self, view: RunView) -> None:
         glyphs, verdict, result = (
             self.application.glyphs,
-            decode_verdict(view),
+            finished_verdict(view),
             self._result_of(view),
         )
         if verdict is not None:

@@ -360,7 +360,7 @@ class Finished:
         return _whole(head, (f" for {names}", "$label"), (air, "$label"))
 
 
-def decode_verdict(view: RunView) -> Finished | None:
+def finished_verdict(view: RunView) -> Finished | None:
     """Return the verdict of a finished run with a validation; None for every other run.
 
     Stations that were also judged together are shown one by one.

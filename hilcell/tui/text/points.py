@@ -63,12 +63,12 @@ def is_judged(point: Point) -> bool:
 
 
 def deviation_of(log: Log, point: Point) -> Deviation | None:
-    """Return a point's deviation, as `target_deviations`, with U as the log has it now."""
+    """Return a point's deviation, as `point_deviations`, with U as the log has it now."""
     U_mm = expanded_uncertainty_mm(log) if is_judged(point) else 0.0
-    return target_deviations(log, [point], U_mm)[0]
+    return point_deviations(log, [point], U_mm)[0]
 
 
-def target_deviations(log: Log, points: Sequence[Point], U_mm: float) -> list[Deviation | None]:
+def point_deviations(log: Log, points: Sequence[Point], U_mm: float) -> list[Deviation | None]:
     """Return the deviation of each point, None without a nominal target or where {W} is not known.
 
     Of a target that was measured more than once, the measurement that counts: the larger error.
@@ -238,7 +238,7 @@ class PointRows:
         points = [log.points[key] for key in new]
         if any(is_judged(point) for point in points) or self._U_of[0]:
             self._take_expanded(log)
-        for point, each in zip(points, target_deviations(log, points, self._U_mm), strict=True):
+        for point, each in zip(points, point_deviations(log, points, self._U_mm), strict=True):
             self._found[point.key] = log.changed[point.key], PointRow.of(log, point, each)
         return [self._found[key][1] for key in log.points]
 

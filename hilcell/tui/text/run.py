@@ -102,7 +102,7 @@ def _labelled(name: str, value: str, most: int) -> Content:
     return Content.assemble((f"{name} ", "$label"), Content(value).truncate(most, ellipsis=True))
 
 
-def sweeping_robot(steps: Sequence[PlannedStep]) -> int:
+def planned_sweeps(steps: Sequence[PlannedStep]) -> int:
     spans = [span for step in steps for span in step.spans]
     return sum(span.measured for span in spans if span.kind == "sweep")
 
@@ -456,7 +456,7 @@ class RunText:
             return view.span.taken, view.span.planned
         steps = view.log.plan.steps if view.log.plan is not None else []
         planned = steps[number - 1].points if number <= len(steps) else 0
-        if not planned and (sweeps := sweeping_robot(steps[number - 1 : number])):
+        if not planned and (sweeps := planned_sweeps(steps[number - 1 : number])):
             return min(len(view.log.streams), sweeps), sweeps
         return min(len(view.measured.get(number, ())), planned), planned
 

@@ -121,7 +121,7 @@ def test_a_procedure_is_imported_off_the_thread_that_takes_keys(
         raise LookupError(name)
 
     monkeypatch.setattr(finished, "load_entry", load)
-    monkeypatch.setattr(run, "decode_verdict", lambda view: None)
+    monkeypatch.setattr(run, "finished_verdict", lambda view: None)
 
     async def look(app: Stage, pilot: Press) -> None:
         assert threads

@@ -27,7 +27,7 @@ from hilcell.tui.text.finished import (
     Figure,
     Head,
     Result,
-    decode_verdict,
+    finished_verdict,
     gravest,
     result_of,
     table_lines,
@@ -79,7 +79,7 @@ def judge(view: RunView, name: str, **changed: Any) -> None:
 
 def test_the_worst_mean_and_the_worst_single_are_named_with_their_stations() -> None:
     view = finished("done", PLACES)
-    found = decode_verdict(view)
+    found = finished_verdict(view)
     assert found is not None
     assert (found.worst_mean.name, found.worst_single.name) == ("S300", "S1100")
     assert [each.name for each in found.stations] == ["S300", "S1100", "S1900"]
@@ -93,7 +93,7 @@ def test_the_worst_mean_and_the_worst_single_are_named_with_their_stations() -> 
 
 def test_a_failure_says_its_reason_and_steps() -> None:
     view = finished("intolerant", PLACES | {"S1900": {"mean": 0.222, "p95": 0.4, "max": 1.084}})
-    found = decode_verdict(view)
+    found = finished_verdict(view)
     assert found is not None
     assert found.words == ("FAIL", "out of tolerance")
     text = drawn(found.lines(view, UNICODE), 79, ROWS)
@@ -108,7 +108,7 @@ def test_a_failure_says_its_reason_and_steps() -> None:
 def test_a_station_shows_the_figures_it_was_judged_by() -> None:
     view = finished("done", PLACES)
     judge(view, "S1100", mean_mm=0.1, max_mm=0.25)
-    found = decode_verdict(view)
+    found = finished_verdict(view)
     assert found is not None
     text = drawn(found.lines(view, UNICODE), 79, ROWS)
     assert "0.310" not in text
@@ -117,7 +117,7 @@ def test_a_station_shows_the_figures_it_was_judged_by() -> None:
 def test_no_reason_and_no_step_of_a_failure_is_cut() -> None:
     places = PLACES | {name: {"mean": 0.222, "p95": 0.4, "max": 1.084} for name in PLACES}
     view = finished("intolerant", places)
-    found = decode_verdict(view)
+    found = finished_verdict(view)
     assert found is not None
     for width, rows in ((59, 22), (79, ROWS + 5)):
         text = " ".join(drawn(found.lines(view, UNICODE), width, rows).split())
@@ -129,7 +129,7 @@ def test_no_reason_and_no_step_of_a_failure_is_cut() -> None:
 def test_a_station_that_is_not_shown_to_hold_names_its_uncertainty() -> None:
     view = finished("intolerant", PLACES, U_mm=0.01)
     judge(view, "S300", holds=False, decided=Outcome.UNDECIDED)
-    found = decode_verdict(view)
+    found = finished_verdict(view)
     assert found is not None
     assert found.reasons == "S300: mean 0.113, U 0.010: not shown below 0.120"
     assert "▲ at S300, limit 0.120" in drawn(found.lines(view, UNICODE), 79, ROWS)
@@ -138,7 +138,7 @@ def test_a_station_that_is_not_shown_to_hold_names_its_uncertainty() -> None:
 def test_a_largest_error_that_is_not_shown_to_hold_is_no_plain_one() -> None:
     view = finished("intolerant", PLACES | {"S1100": {"mean": 0.05, "p95": 0.1, "max": 0.298}})
     judge(view, "S1100", holds=False, decided=Outcome.UNDECIDED, max_U_mm=0.005)
-    found = decode_verdict(view)
+    found = finished_verdict(view)
     assert found is not None
     assert "▲ at S1100, limit 0.300" in drawn(found.lines(view, UNICODE), 79, ROWS)
 
@@ -146,7 +146,7 @@ def test_a_largest_error_that_is_not_shown_to_hold_is_no_plain_one() -> None:
 def test_a_nan_is_the_worst_and_fails() -> None:
     nan = float("nan")
     view = finished("intolerant", PLACES | {"S300": {"mean": nan, "p95": nan, "max": nan}})
-    found = decode_verdict(view)
+    found = finished_verdict(view)
     assert found is not None
     assert found.worst_mean.name == found.worst_single.name == "S300"
     assert "▲ at S300" in drawn(found.lines(view, UNICODE), 79, ROWS)
@@ -155,7 +155,7 @@ def test_a_nan_is_the_worst_and_fails() -> None:
 def test_an_undecided_run_is_not_called_out_of_tolerance() -> None:
     view = finished("intolerant", PLACES)
     judge(view, "S300", holds=False, decided=Outcome.UNDECIDED)
-    found = decode_verdict(view)
+    found = finished_verdict(view)
     assert found is not None
     assert found.words == ("UNDECIDED", "neither pass nor fail")
     assert "UNDECIDED" in drawn(RunText(view).banner())
@@ -172,7 +172,7 @@ def test_an_undecided_run_is_not_called_out_of_tolerance() -> None:
 )
 def test_an_alarm_that_still_stands_is_counted_beside_a_pass(standing: int, said: str) -> None:
     view = finished("done", PLACES)
-    found = decode_verdict(view)
+    found = finished_verdict(view)
     assert found is not None
     assert said in drawn(found.lines(view, UNICODE, standing), 79, ROWS)
 
@@ -180,7 +180,7 @@ def test_an_alarm_that_still_stands_is_counted_beside_a_pass(standing: int, said
 def test_more_stations_than_there_is_room_for_are_counted() -> None:
     many = {f"P{n}": {"mean": 0.01 * n, "p95": 0.1, "max": 0.2} for n in range(9)}
     view = finished("done", many)
-    found = decode_verdict(view)
+    found = finished_verdict(view)
     assert found is not None
     text = drawn(found.lines(view, UNICODE), 79, ROWS)
     assert "P8 " in text  # the worst
@@ -192,7 +192,7 @@ def test_a_simulation_is_marked_inside_the_verdict(simulated: bool) -> None:
     view = finished("done", PLACES)
     assert view.log.plan is not None
     view.log.plan = msgspec.structs.replace(view.log.plan, simulated=simulated)
-    found = decode_verdict(view)
+    found = finished_verdict(view)
     assert found is not None
     for width, rows in ((79, ROWS), (59, 8)):
         text = drawn(found.lines(view, ASCII), width, rows)
@@ -201,7 +201,7 @@ def test_a_simulation_is_marked_inside_the_verdict(simulated: bool) -> None:
 
 @pytest.mark.parametrize("name", sample_runs())
 def test_only_a_finished_run_has_a_verdict(name: str) -> None:
-    assert (decode_verdict(view_of(name)) is not None) == (name in ("done", "intolerant"))
+    assert (finished_verdict(view_of(name)) is not None) == (name in ("done", "intolerant"))
 
 
 @pytest.mark.parametrize(
@@ -218,12 +218,12 @@ def test_only_a_finished_run_has_a_verdict(name: str) -> None:
 def test_a_result_of_another_kind_has_no_verdict(result: dict[str, object]) -> None:
     view = view_of("done")
     view.log.end = Ended(state="finished", exit=0, result=result)
-    assert decode_verdict(view) is None
+    assert finished_verdict(view) is None
 
 
 def test_it_fits_where_there_is_little_room() -> None:
     view = view_of("done")
-    found = decode_verdict(view)
+    found = finished_verdict(view)
     assert found is not None
     for width, rows in product((20, 38, 58, 79), (4, 8, 13, ROWS)):
         lines = found.lines(view, UNICODE).lines(width, rows)
@@ -243,7 +243,7 @@ def test_an_orientation_over_its_limit_is_the_reason(
 ) -> None:
     view = finished("intolerant", PLACES | {"S1100": PLACES["S1900"]})
     limited(view, max_deg=max_deg, max_U_deg=U_deg, decided=Outcome(outcome), holds=False)
-    found = decode_verdict(view)
+    found = finished_verdict(view)
     assert found is not None
     assert found.reasons == said
     assert said in " ".join(drawn(found.lines(view, UNICODE), 79, ROWS + 5).split())
@@ -252,7 +252,7 @@ def test_an_orientation_over_its_limit_is_the_reason(
 def test_an_orientation_in_its_limit_is_shown() -> None:
     view = finished("done", PLACES | {"S1100": PLACES["S1900"]})
     limited(view, max_deg=0.0123, max_U_deg=0.01)
-    found = decode_verdict(view)
+    found = finished_verdict(view)
     assert found is not None
     text = drawn(found.lines(view, UNICODE), 79, ROWS)
     assert "orientation, worst: 0.0123° at S300, limit 0.05°" in text
@@ -274,7 +274,7 @@ LONG = "Heck-Spantaktstation-Nord-Linie-2-Bauabschnitt-4-Platz-11"
 
 def test_a_long_name_of_a_station_hides_no_limit_and_no_figure() -> None:
     view = finished("done", {LONG: PLACES["S300"]})
-    found = decode_verdict(view)
+    found = finished_verdict(view)
     assert found is not None
     for width, rows in ((79, ROWS), (59, 9)):
         text = drawn(found.lines(view, UNICODE), width, rows)
@@ -287,7 +287,7 @@ def test_a_phrase_without_room_is_left_out_whole() -> None:
     view = finished("done", PLACES)
     assert view.log.end is not None
     view.log.end.result["validation"]["S300"]["floor"] = {"mean": 0.031, "p95": 0.05}
-    found = decode_verdict(view)
+    found = finished_verdict(view)
     assert found is not None
     wide = drawn(found.lines(view, UNICODE), 79, 9)
     small = drawn(found.lines(view, UNICODE), 59, 9)
@@ -307,7 +307,7 @@ def test_what_to_do_about_a_u_that_is_too_large_is_seen_in_24_rows() -> None:
         if key.startswith("validation.")
     }
     view.alarms = alarms_of(view.log, "r", live=False)
-    found = decode_verdict(view)
+    found = finished_verdict(view)
     assert found is not None
     assert [found.reasons.count(name) for name in PLACES] == [1] * len(PLACES)
     text = " ".join(drawn(found.lines(view, UNICODE), 79, ROWS).split())
@@ -342,7 +342,7 @@ def test_an_alarm_that_is_over_is_not_counted_as_one(causes: list[Cause], said: 
         )
         for n, cause in enumerate(causes)
     ]
-    found = decode_verdict(view)
+    found = finished_verdict(view)
     assert found is not None
     assert f" {said}" in drawn(found.lines(view, UNICODE), 79, ROWS)
 

@@ -79,8 +79,8 @@ def test_ages(seconds: float, wanted: str) -> None:
 
 def test_the_step_of_axis_sweeps_counts_its_sweeps() -> None:
     spans = (Span("sweep", 8, 540.0),)
-    assert run_text.sweeping_robot([PlannedStep("axis-sweeps", 0, 540.0, spans)]) == 8
-    assert run_text.sweeping_robot([PlannedStep("home", 0, 0.0)]) == 0
+    assert run_text.planned_sweeps([PlannedStep("axis-sweeps", 0, 540.0, spans)]) == 8
+    assert run_text.planned_sweeps([PlannedStep("home", 0, 0.0)]) == 0
     view = view_of("running")
     assert view.log.plan is not None
     assert view.step is not None
