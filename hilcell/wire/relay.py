@@ -398,7 +398,11 @@ class SerialRelay(Relay):
         self.path = f"{self._folder.name}/line"
         self.channel = self.path if place.baud == BAUD else f"{self.path}@{place.baud}"
         self._driver_end = -1  # kept open
-        self.admit()
+        try:
+            self.admit()
+        except OSError:
+            self._folder.cleanup()
+            raise
 
     def lead_to(self, place: Socket | SerialLine) -> None:
         """Lead to another line after the next `admit`."""

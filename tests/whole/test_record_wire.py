@@ -14,6 +14,7 @@ import pty
 import re
 import shutil
 import socket
+import tempfile
 import tty
 from collections.abc import Callable, Iterator
 from importlib.metadata import entry_points
@@ -303,9 +304,20 @@ def test_a_serial_line_passes_through_a_pseudo_terminal(kept: tuple[Recorder, Pa
     assert os.read(device, 100) == b"%R1Q,0,1:\r\n"
     os.write(device, b"%R1P,0,1:0\r\n")
     assert os.read(driver, 100) == b"%R1P,0,1:0\r\n"
+    relay.close()
     for file in (driver, device, line):
         os.close(file)
     assert [p.e for p in read_recording(path)][:3] == ["open", ">", "<"]
+
+
+def test_a_serial_line_that_cannot_be_opened_leaves_no_folder(
+    kept: tuple[Recorder, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "lines"))
+    (tmp_path / "lines").mkdir()
+    with pytest.raises(OSError, match="no-such-line"):
+        SerialRelay(SerialLine(str(tmp_path / "no-such-line")), kept[0])
+    assert list((tmp_path / "lines").iterdir()) == []
 
 
 @pytest.mark.process
