@@ -1,12 +1,11 @@
-"""The budget of a corrected target, from the run's own readings and the cell's stated limits.
+"""Uncertainty budget of a corrected target, from the run's readings and the cell's stated limits.
 
-By it a target's 95 % bound is stated: in use, as a calibration file states it, and as validated.
-Both have the same parts but for three groups: errors that grid and validation share and that so
-cannot show there ({W}, the tracker's limits, the reflector, the drill); the readings of the
-validation itself; and the temperature, allowed or measured.
+It gives the target's 95 % bound, in use and in validation. These differ in three groups: errors
+common to grid and validation, which cannot show there ({W}, the tracker's limits, the reflector,
+the drill); the validation's own readings; and the temperature, allowed or measured.
 
-The base frame's own error is no line: the grid was measured in the {B} in which targets are
-corrected, so that it moves both alike and cancels, but for the tool's orientation.
+The base frame's own error is no line: targets are corrected in the {B} in which the grid was
+measured, so that it cancels, except for the tool's orientation.
 """
 
 from __future__ import annotations
@@ -58,7 +57,7 @@ DRILL = "Drill's offset"
 
 
 def target_uncertainty(log: Log) -> Uncertainty:
-    """Return the lines that a run measured, and those that its cell states."""
+    """Lines measured by a run, and those stated by its cell."""
     if not visits_mm(log):
         return Uncertainty(missing=NO_VISITS)
     stated = log.cell.uncertainty
@@ -86,10 +85,10 @@ class _Lines:
     log: Log
 
     def model_samples(self) -> int | None:
-        """Return from how many different poses the model's residual was estimated, if any.
+        """Number of different poses from which the model's residual was estimated, if any.
 
-        Without the curves of axis sweeps it is mostly the gears', and repeats where a joint's angle
-        repeats: a grid of 64 poses may show no more than 16 different errors of axis 1.
+        Without the curves of axis sweeps the residual is mostly the gears', and repeats where a
+        joint's angle repeats: a grid of 64 poses may show only 16 different errors of axis 1.
         """
         points = self.log.select("grid")
         fitted = self.log.verdict(Fitted)
@@ -101,7 +100,7 @@ class _Lines:
         return min(len(np.unique(each)) for each in angles.T)
 
     def repeatability(self) -> Influence:
-        """Return the scatter of visits in {B}, less the readings'."""
+        """Scatter of visits in {B}, less the readings'."""
         R = (inverse(self.log.matrix("base")) @ self.log.matrix("world"))[:3, :3]
         scatter_mm2, visits, places = visit_scatter(self.log, R)
         robot_mm2 = no_less_than_nought(
@@ -116,7 +115,7 @@ class _Lines:
         )  # fmt: skip
 
     def approach(self) -> Influence:
-        """Return the larger of limit and measurement, of the whole distance between both sides."""
+        """The larger of limit and measurement, of the whole distance between both directions."""
         limit_mm = self.log.cell.uncertainty.reversal_limit_mm
         verdict = self.log.once_measured(reversal)
         measured_mm, measured = 0.0, ""
@@ -130,7 +129,7 @@ class _Lines:
         return _limit("Approach direction", how, limit_mm)
 
     def drift(self) -> Influence:
-        """Return how far the floor nests moved in the run, less the readings' noise."""
+        """Motion of the floor nests in the run, less the readings' noise."""
         firsts = {point.id.nest: point for point in self.log.select("world")}
         pairs = [
             (now, firsts[now.id.nest])
@@ -151,7 +150,7 @@ class _Lines:
         return Influence("Drift", MEASURED, how, "4.2.2", "world", motion(variance_mm2))
 
     def world(self) -> Influence:
-        """Return {W} as the floor nests define it: their noise and the reflector's centring."""
+        """{W} as defined by the floor nests: their noise and the reflector's centring."""
         framed = world_as_framed(self.log)
         known = np.zeros((6, 6)) if framed is None else framed
         return Influence(
@@ -174,7 +173,7 @@ class _Lines:
         )  # fmt: skip
 
     def drill(self) -> Influence:
-        """Return the drill's offset times the orientation errors of nominal robot and {B}."""
+        """The drill's offset times the orientation errors of nominal robot and {B}."""
         stated = self.log.cell.uncertainty
         x_mm, y_mm, z_mm = stated.drill_offset_mm
         base_rad2 = self.log.frames["base"].C[3:, 3:]
@@ -189,7 +188,9 @@ class _Lines:
         )  # fmt: skip
 
     def placed(self, station: Station) -> list[Influence]:
-        """Return what placing the slide at a station costs: its frame, and the strip's hold."""
+        """Contributions of placing the slide at a station: its frame, and the strip's
+        repeatability.
+        """
         x_mm, y_mm, z_mm = Frames(self.log.cell, self.log).base_in_world(station)[:3, 3].tolist()
         carried = station.name != self.log.cell.grid.station
         how = "noise of the slide nests, carried to the target"
@@ -227,9 +228,8 @@ def with_drill(
     u_mm: float = 0.0,
     bounds_deg: Array | None = None,
 ) -> Uncertainty:
-    """Return the budget of a drill at ``offset_mm`` (1 sigma ``u_mm``) from the reflector in {T}.
-
-    Bounds of corrected orientation ``bounds_deg`` (N,) replace the stated limit. Raises `NoBound`.
+    """Budget of a drill at ``offset_mm`` (1 sigma ``u_mm``) from the reflector in {T}. Bounds of
+    corrected orientation ``bounds_deg`` (N,) replace the stated limit. Raises `NoBound`.
     """
     x_mm, y_mm, z_mm = offset_mm
     far = f"{math.hypot(*offset_mm):g} mm from the reflector"
@@ -254,7 +254,7 @@ def with_drill(
 
 
 def touched(log: Log, station: Station) -> Influence | None:
-    """Return what placing the slide cost on the last visit, where touch poses measured it then."""
+    """Contribution of placing the slide, as measured by touch poses on the last visit."""
     frame = log.frames.get(f"touch.{station.name}")
     if not isinstance(frame, TouchedBase):
         return None
@@ -271,9 +271,8 @@ def temperature(
     growth_per_k: float, range_c: tuple[float, float] | None, air_range_k: float,
     now_c: float | None = None,
 ) -> Influence:  # fmt: skip
-    """Return the arm's growth from {B} at the temperatures of use.
-
-    ``range_c`` is the grid's; of ``now_c``, where it is known, the distance from its middle counts.
+    """The arm's growth from {B} at the temperatures of use. ``range_c`` is the grid's; if ``now_c``
+    is known, its distance from the middle counts.
     """
     if range_c is None:
         half_k, how = air_range_k / 2, f"no weather station, ±{air_range_k / 2:g} K taken"
@@ -287,9 +286,8 @@ def temperature(
 
 
 def in_validation(log: Log, station: Station, points: Sequence[Point]) -> list[Influence]:
-    """Return what the measured errors of validation points have besides: readings, growth.
-
-    Touch poses take the arm's growth until then in with the base, but for its change over the cube.
+    """Additional contributions to measured errors of validation points: readings, growth. Touch
+    poses include the arm's growth in the base, except for its change over the cube.
     """
     R = log.matrix("world")[:3, :3]
     readings = Influence(
@@ -312,7 +310,7 @@ def in_validation(log: Log, station: Station, points: Sequence[Point]) -> list[I
 def growth_since(
     log: Log, before: Sequence[Point], points: Sequence[Point], name: str
 ) -> Influence | None:
-    """Return the arm's growth at ``points`` since others; nothing without a weather station."""
+    """The arm's growth at ``points`` since ``before``; None without a weather station."""
     then_c, now_c = (
         [p.temperature_c for p in group if p.temperature_c is not None]
         for group in (before, points)
@@ -325,7 +323,7 @@ def growth_since(
 
 
 def _growth(limit_per_k: float, variance_k2: float, how: str, clause: str) -> Influence:
-    """Return the growth of an arm that follows the room by any share, from none to wholly."""
+    """Growth of an arm that follows the ambient temperature by any share from 0 to 1."""
     rate = f"0 .. {limit_per_k * 1e6:g} µm/(m·K)"
     return Influence(
         TEMPERATURE, f"{MEASURED}, and {ASSUMED}", f"{rate}, {how}", clause, "base",
@@ -334,13 +332,13 @@ def _growth(limit_per_k: float, variance_k2: float, how: str, clause: str) -> In
 
 
 def _mean_reading_mm2(points: Sequence[Point], R: Array) -> Array:
-    """Return the mean covariance (3, 3) of averaged readings, turned by ``R`` (3, 3)."""
+    """Mean covariance (3, 3) of averaged readings, rotated by ``R`` (3, 3)."""
     return np.asarray(covariances_mm2(points, R).mean(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """Validated errors (N,) and the bounds (N,) that 95 % of them should keep."""
+    """Validated errors (N,) and their 95 % bounds (N,)."""
 
     errors_mm: Array
     bounds_mm: Array
@@ -365,9 +363,8 @@ class Coverage:
 def target_bounds(
     calibration: Calibration, station: str, poses: Array, temperature_c: float | None = None
 ) -> Bounds:
-    """Return the bounds of corrected targets at poses (N, 4, 4) in {W}, at any temperature or one.
-
-    Raises `NoBound` with the reason where the file states no budget, and `OutsideGrid`.
+    """Bounds of corrected targets at poses (N, 4, 4) in {W}; temperature None: any in range. Raises
+    `NoBound` with the reason where the file states no budget, and `OutsideGrid`.
     """
     stated, lines = calibration.budget, lines_in_use(calibration, station)
     air = temperature(
@@ -377,14 +374,14 @@ def target_bounds(
 
 
 def lines_in_use(calibration: Calibration, station: str) -> list[Influence]:
-    """Return the lines of the budget, but for the temperature's, that count for targets in use."""
+    """Lines of the budget in use, except for the temperature's."""
     stated = calibration.budget
     lines = (*stated.lines, *stated.stations[station])
     return [each for each in lines if each.counts != "in validation"]
 
 
 def cube_bounds(calibration: Calibration, station: str) -> Bounds:
-    """Return the bounds in use through the calibrated cube, in its orientation."""
+    """Bounds in use over the calibrated cube, in its orientation."""
     grid = calibration.grid()
     shares = np.array([0.25, 0.75])  # along each axis of a grid's cell
     axes = [
@@ -397,7 +394,6 @@ def cube_bounds(calibration: Calibration, station: str) -> Bounds:
 
 
 def validated(calibration: Calibration, log: Log, station: str) -> Coverage | None:
-    """Return a station's corrected validation points, None without any; raises `NoBound`."""
     found = validated_bounds(calibration, log, station)
     return None if found is None else Coverage(found[0].norms_mm, found[1].radii_mm)
 
@@ -405,7 +401,7 @@ def validated(calibration: Calibration, log: Log, station: str) -> Coverage | No
 def validated_bounds(
     calibration: Calibration, log: Log, station: str
 ) -> tuple[Errors, Bounds] | None:
-    """Return the errors of `validation_points`, and the contributions; raises `NoBound`."""
+    """Errors of `validation_points`, and the contributions; raises `NoBound`."""
     points = validation_points(log, station)
     if not points:
         return None
@@ -420,7 +416,7 @@ def validated_bounds(
 def lines_in_validation(
     calibration: Calibration, log: Log, station: str, points: list[Point]
 ) -> list[Influence]:
-    """Return the lines of the budget that count for validation points of a station."""
+    """Lines of the budget for validation points of a station."""
     stated, stop = calibration.budget, log.cell.station_named(station)
     on_visit = touched(log, stop)
     placed = stated.stations[station] if on_visit is None else [on_visit]
@@ -431,7 +427,7 @@ def lines_in_validation(
 def driven_poses(
     calibration: Calibration, log: Log, points: list[Point], places_mm: Array
 ) -> Array:
-    """Return the targets' poses (N, 4, 4) in {B} at places (N, 3), turned as commanded."""
+    """Target poses (N, 4, 4) in {B} at positions (N, 3), oriented as commanded."""
     if any(point.commanded_deg is None for point in points):
         return calibration.poses_at(places_mm)
     R = forward(log.cell.robot.arm(), commanded_rad(points))[:, :3, :3]
@@ -439,14 +435,13 @@ def driven_poses(
 
 
 def validation_points(log: Log, station: str) -> list[Point]:
-    """Return the points of a station that `validated` judges, in its order."""
     return targets(log, station, Sent.CHOSEN)
 
 
 def coverages(
     calibration: Calibration, log: Log, places: Mapping[str, Sequence[str]]
 ) -> dict[str, Coverage]:
-    """Return the validation by place, as far as it was measured; raises `NoBound`."""
+    """Coverage by place, as far as measured; raises `NoBound`."""
     names = {name for stations in places.values() for name in stations}
     single = {name: validated(calibration, log, name) for name in names}
     found = {}

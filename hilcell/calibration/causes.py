@@ -1,15 +1,14 @@
-"""Causes of errors that nothing else explains: how each moves the poses, and which explains best.
+"""Causes of unexplained errors: how each moves the poses, and which explains best.
 
-An axis that lost its zero moves them by its column of the Jacobian, a reflector that slipped by its
-orientation, an arm that grew by its reach. A suspicion is a hint, no verification.
+An axis that lost its zero moves poses by its column of the Jacobian, a slipped reflector by its
+orientation, a grown arm by its reach. A suspicion is a hint, no verification. The tracker is
+verified by its own nests, so a pose that differs is due to robot, mount or slide.
 
-The tracker is verified by its own nests, so a pose that differs is the robot's, its
-mount's or the slide's doing. Of N differences d with covariance C, ``d' C^-1 d`` is judged as
-3N F(3N, nu), nu the degrees of freedom of the repeatability, known at a few places and wider by its
-spread over the others, and what a cause of k parameters explains of it as k F(k, nu), the risk
-shared by all. The cause is named that leaves what chance explains, the one of fewest parameters
-first; none where the best leaves most. A slip in the direction of a turn of axis 6 by itself is
-taken for its lost zero.
+Of N differences d with covariance C, ``d' C^-1 d`` is judged as 3N F(3N, nu), nu the degrees of
+freedom of the repeatability, known at a few places and widened by its spread over the others; the
+share explained by a cause of k parameters as k F(k, nu), the risk divided among all. The cause that
+leaves only chance is named, the fewest parameters first; none where the best leaves most. A slip
+along a rotation of axis 6 alone is taken for its lost zero.
 """
 
 from __future__ import annotations
@@ -43,13 +42,13 @@ class Pattern(NamedTuple):
 
 
 def zero_columns(arm: Arm, joints_rad: Array) -> Array:
-    """Return the reflector's motion (N, 3, 6) in {B} by lost zeros at joints (N, 6), mm / rad."""
+    """Motion of the reflector (N, 3, 6) in {B} by lost zeros at joints (N, 6), mm / rad."""
     offsets = slice(18, 24)  # of the links' parameters
     return np.asarray(parameter_jacobian(arm, joints_rad)[:, :3, offsets] * arm.sign)
 
 
 def patterns(arm: Arm, joints_rad: Array) -> list[Pattern]:
-    """Return the patterns at joints (N, 6) of the robot's causes, in {B}."""
+    """Patterns of the robot's causes at joints (N, 6), in {B}."""
     poses = forward(arm, joints_rad)
     J = zero_columns(arm, joints_rad)
     grown = motion_levers(poses[:, :3, 3])[:, :, 6].reshape(-1, 1)
@@ -61,10 +60,11 @@ def patterns(arm: Arm, joints_rad: Array) -> list[Pattern]:
 
 
 def axis_6_pattern(arm: Arm, joints_rad: Array) -> list[Pattern]:
-    """Return the pattern of axis 6 as in `patterns`; none where it hardly moves the reflector.
+    """Pattern of axis 6 as in `patterns`; none where it hardly moves the reflector.
 
-    It is that of a mount which slipped along the turn, and no reflector alone tells them apart. So
-    it is no cause to test for, but the likelier one where a slip has this direction by itself.
+    A mount that slipped along the rotation has the same pattern, and no single reflector
+    distinguishes them: not a cause to test, but the likelier one of a slip in exactly this
+    direction.
     """
     J = zero_columns(arm, joints_rad)
     lever_mm = float(np.sqrt(np.square(J[:, :, LARGE_AXES]).sum(axis=1).mean()))
@@ -78,17 +78,17 @@ def _zero(J: Array, axis: int) -> Pattern:
 
 
 def inverse_covariance(covariance_mm2: Array) -> Array:
-    """Return the weights (3N, 3N) of errors with a covariance: its inverse."""
+    """Weights (3N, 3N) of errors: the inverse of their covariance."""
     return np.array(np.linalg.inv(covariance_mm2), dtype=float)
 
 
 def left_by(
     errors_mm: Array, weights: Array, columns: Array, besides: Array | None = None
 ) -> tuple[float, float]:
-    """Return the chi^2 of errors (N, 3) that columns (3N, K) leave, and the columns' size.
+    """Chi^2 of errors (N, 3) after fitting columns (3N, K), and the columns' size.
 
-    ``besides`` (3N, M) may explain errors as well, and counts for no size. The size of a single
-    column has its sign, that of three is their length.
+    ``besides`` (3N, M) are fitted as well and add no size. The size of a single column has its
+    sign, that of three is their length.
     """
     own = columns.shape[1]
     J = columns if besides is None else np.hstack([columns, besides])
@@ -106,11 +106,11 @@ def left_by(
 
 
 class Differences(msgspec.Struct, frozen=True):
-    """Differences (N, 3) in {B} at joints (N, 6), their covariance (3N, 3N), and the degrees of
-    freedom of its estimate. ``rail`` (3,) is the rail's direction in {B}, 0 without one.
+    """Differences (N, 3) in {B} at joints (N, 6), and their covariance (3N, 3N).
 
-    Of poses in the order of their first visits the first ones may have changed, and the others
-    been visited after the change: as many as one of ``firsts``.
+    ``freedom``: degrees of freedom of its estimate; ``rail`` (3,): the rail's direction in {B}, 0
+    without one. ``firsts``: candidate numbers of poses, in order of their first visits, that may
+    have changed while the others were visited after the change.
     """
 
     difference_mm: Array
@@ -122,7 +122,7 @@ class Differences(msgspec.Struct, frozen=True):
 
 
 class Change(msgspec.Struct, frozen=True):
-    """The test that comes closest to its limit, and the cause that explains best what it found."""
+    """The test closest to its limit, and the cause that explains best what it detected."""
 
     ratio: float  # of chi^2, or of what a cause explains of it, to its degrees of freedom
     limit: float
@@ -135,10 +135,10 @@ class Change(msgspec.Struct, frozen=True):
 
 
 def changed(differences: Differences, arm: Arm, noticed_by: str) -> Change:
-    """Return what two visits of the same poses have shown.
+    """Judge two visits of the same poses.
 
-    Two tests: whether chance explains all differences together, and whether one cause explains
-    them better than chance would make it. The second finds a change that each pose hides.
+    Two tests: whether chance explains all differences together, and whether one cause explains them
+    better than by chance. The second detects a change that each single pose hides.
     """
     d = differences.difference_mm.reshape(-1)
     chi2 = float(d @ np.linalg.solve(differences.covariance_mm2, d))
@@ -157,7 +157,7 @@ def changed(differences: Differences, arm: Arm, noticed_by: str) -> Change:
 
 
 def likeliest(differences: Differences, arm: Arm, noticed_by: str) -> Suspicion:
-    """Return the cause that leaves least, each parameter having to gain its penalty."""
+    """The cause that leaves least, with a penalty for each parameter."""
     return _named(differences, arm, _explained(differences, arm, noticed_by), noticed_by)
 
 

@@ -1,14 +1,13 @@
 """Changes since the calibration that a run would supersede, parameter by parameter.
 
-Two calibrations of one cell have the same frames in {W}, whatever the tracker's set-up was: that of
-the base at the grid's station, and those of the slide at all stations. A reflector of another size,
-a prism with another offset, a tilted axis of the tracker or a base that was moved shows there and
-nowhere in the run itself: it is in all of its readings alike. So is a brake that slips at each of
-its stops, in what a visit of a place scatters by. So each is compared with what both runs state of
-it, and an operator decides which of both is right.
+Both have the same frames in {W}, independent of the tracker's set-up: the base at the grid's
+station, and the slide at all stations. A reflector of another size, a prism with another offset, a
+tilted axis of the tracker or a moved base shows there only, since it affects all readings of the
+run alike; a slipping brake shows in the scatter of visits. An operator decides which calibration is
+right.
 
-Noise passes a limit in one of a thousand pairs of calibrations, all parameters together. Stated
-limits (drift, tracker, seating, hold, growth) are taken as such, and both are added in quadrature.
+Noise exceeds a limit in one of a thousand pairs of calibrations, all parameters together. Stated
+limits (drift, tracker, seating, strip, growth) are added in quadrature.
 """
 
 from __future__ import annotations
@@ -45,13 +44,12 @@ FITTED = 12  # parameters of the two circles: centre, axis and radius of each
 
 
 def since_before(log: Log, *, with_base: bool = True) -> Suspicion | None:
-    """Return what has changed most since the current calibration, if anything has."""
     before = log.inputs.floor_before
     return None if before is None else changed_since(compared(log, with_base=with_base), before.run)
 
 
 def changed_since(changes: list[Parameter], run: str) -> Suspicion | None:
-    """Return the change that is farthest beyond its limit; None where all keep theirs."""
+    """The change farthest beyond its limit; None where all are within."""
     beyond = [each for each in changes if not each.holds]
     if not beyond:
         return None
@@ -65,8 +63,8 @@ def changed_since(changes: list[Parameter], run: str) -> Suspicion | None:
 
 
 def compared(log: Log, *, with_base: bool = True) -> list[Parameter]:
-    """Return the parameters that this run and that of the current calibration measured; the base's
-    ``with_base``: one that lies elsewhere by a nest that rose is no change of its own.
+    """Parameters measured by both this run and that of the current calibration. ``with_base``: the
+    base's too; displaced by a risen nest, it is no change of its own.
     """
     before = log.inputs.floor_before
     if before is None or len(floor_points(log)) < FLOOR_NESTS:
@@ -106,14 +104,13 @@ def compared(log: Log, *, with_base: bool = True) -> list[Parameter]:
 
 @dataclass(frozen=True, eq=False)
 class _Limits:
-    """Within which limits frames of a run agree with those of before."""
+    """Limits within which frames of two runs agree."""
 
     log: Log
 
     def repeatability(self, then_mm: list[Array], risk: float) -> list[Parameter]:
-        """Return what one visit of a place scatters by, from clouds (N, 3) of both runs, if any.
-
-        Nothing says how much of then's scatter was the readings' noise: all of now's may be more.
+        """Scatter of one visit, from clouds (N, 3) of both runs, if any. The noise in the former
+        scatter is unknown: all of the present one may be additional.
         """
         now_mm = visits_mm(self.log)
         if not (now_mm and then_mm):
@@ -126,7 +123,7 @@ class _Limits:
         return [Parameter("repeatability", "mm", then, now, float(np.sqrt(most_mm2)) - then)]
 
     def instrument(self, key: str) -> Array:
-        """Return what the limits of tracker and seating give a frame's change, in both runs."""
+        """Covariance of a frame's change by the limits of tracker and seating, in both runs."""
         stated = self.log.cell.uncertainty
         points = self.log.select("base") if key == "base" else floor_points(self.log)
         limit_mm2 = float(systematic_mm2(stated, positions_mm(points)).mean())
@@ -138,7 +135,7 @@ class _Limits:
         return covariance
 
     def growth(self, key: str, before: PreviousReference) -> Array:
-        """Return what the room's change of temperature gives the change of a frame."""
+        """Covariance of a frame's change by the change of ambient temperature."""
         covariance, now_c = np.zeros((6, 6)), self.log.temperatures_c()
         then_c = before.temperature_c if before.frames_c is None else before.frames_c
         if then_c is None or not now_c:
@@ -165,15 +162,14 @@ def _coordinates(key: str, then: Array, now: Array, limits: Array) -> Iterator[P
 
 
 def frame_change(then: Array, now: Array) -> Array:
-    """Return the shift of a frame's origin (mm) and its rotation vector (rad), axes of {W}."""
+    """Shift of a frame's origin (mm) and its rotation vector (rad), axes of {W}."""
     turn = to_rotvec(now[:3, :3] @ then[:3, :3].T)
     return np.concatenate([now[:3, 3] - then[:3, 3], turn.reshape(3)])
 
 
 def noise_covariance(log: Log, key: str) -> Array:
-    """Return the covariance (6, 6) that noise gives the change of a frame in {W}, but for the
-    frame's own noise of then: both runs have that of the floor nests, and of the slide's nests
-    where they say where {S} is; a station's own is from there.
+    """Covariance (6, 6) of the change of a frame in {W} by noise, without the former frame's own.
+    Both runs have the floor nests' noise, and the slide nests' where these define {S}.
     """
     T, own = log.matrix(key), log.frames[key].C
     covariance: Array = own + 2.0 * world_covariance(log, T[:3, 3])
@@ -185,8 +181,8 @@ def noise_covariance(log: Log, key: str) -> Array:
 
 
 def limit_covariance(log: Log, key: str) -> Array:
-    """Return the covariance (6, 6) that stated limits give the change of a frame in {W}: in both
-    runs drift and error of the tracker at the floor nests, and the hold of the slide.
+    """Covariance (6, 6) of the change of a frame in {W} by stated limits, in both runs. Drift and
+    error of the tracker at the floor nests, and the strip's tolerance.
     """
     stated, at_mm = log.cell.uncertainty, log.matrix(key)[:3, 3]
     far_mm = float(lengths_mm(positions_mm(floor_points(log))).max())
@@ -205,7 +201,7 @@ def limit_covariance(log: Log, key: str) -> Array:
 
 
 def risen_nest(log: Log) -> Suspicion | None:
-    """Return the nest that rose or sank, if one clearly has; None where no base can tell."""
+    """The nest that clearly rose or sank, if any; None without a base to compare."""
     before = log.inputs.floor_before
     if before is None or before.base is None or not before.alike:
         return None
@@ -232,7 +228,7 @@ def risen_nest(log: Log) -> Suspicion | None:
 
 
 def _fitted(d: Array, covariance: Array, column: Array) -> tuple[float, float]:
-    """Return the height by generalised least squares, and its standard uncertainty."""
+    """Height by generalised least squares, and its standard uncertainty."""
     weighted = np.linalg.solve(covariance, column)
     information = float(weighted @ column)
     return float(weighted @ d) / information, 1.0 / np.sqrt(information)

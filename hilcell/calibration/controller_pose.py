@@ -1,12 +1,9 @@
-"""Whether the controller computes its poses as the cell file does: with its links, tool and base.
+"""Whether the controller computes poses as the cell file does: with its links, tool and base.
 
-A Cartesian point of a program goes where the controller solves it to. One that knows other links
-than the cell file puts the tool beside each target by as much, and no measurement of ours shows
-it: we send joints. So each pose that the controller states at rest is compared with forward
-kinematics of the joints that it states with it.
-
-A maker that measures each arm in its factory and solves with the result (Universal Robots) says
-so in its readings: there the pose may differ by millimetres, and programs go by joints.
+A controller with other links puts the tool beside each Cartesian target, and no measurement of
+joint motions shows it. So each pose stated at rest is compared with forward kinematics of its
+joints. A controller that solves with links measured in its factory (Universal Robots) says so in
+its readings: its poses may differ by millimetres, and programs use joints.
 """
 
 from __future__ import annotations
@@ -25,7 +22,7 @@ from hilcell.ports import Array, DeviceError, HilcellError, RobotReading
 
 
 class Deviation(NamedTuple):
-    """Shift (3,) and turn (3,) of a stated pose in {B}, and how far rounding may bring them."""
+    """Shift (3,) and rotation (3,) of a stated pose in {B}, and the limits of rounding."""
 
     shift_mm: Array
     turn_rad: Array
@@ -41,12 +38,12 @@ class Deviation(NamedTuple):
         return self.within(self.limit_mm, self.limit_rad)
 
     def within(self, limit_mm: float, limit_rad: float) -> bool:
-        """Whether it keeps limits; NaN keeps none."""
+        """Whether it is within limits; NaN is not."""
         return bool(self.off_mm <= limit_mm and np.linalg.norm(self.turn_rad) <= limit_rad)
 
 
 def deviation(arm: Arm, joints_rad: Array, pose: Array) -> Deviation:
-    """Return how far a pose (4, 4) is from that of joints (6,) by the cell file's arm."""
+    """Deviation of a pose (4, 4) from that of joints (6,) by the cell file's arm."""
     rounding_mm, rounding_rad = 0.005, np.radians(0.001)  # of the numbers that a controller states
     nominal = forward(arm, joints_rad)
     zeros = slice(18, 24)
@@ -62,7 +59,7 @@ def deviation(arm: Arm, joints_rad: Array, pose: Array) -> Deviation:
 
 
 def check_pose(robot: RobotTable, reading: RobotReading, operation: str) -> Deviation:
-    """Return the deviation; raises `DeviceError` beyond rounding and what a factory explains."""
+    """The deviation; raises `DeviceError` beyond rounding and factory calibration."""
     factory_mm, factory_rad = 15.0, np.radians(1.0)  # what links measured in a factory may explain
     arm = robot.arm()
     found = deviation(arm, reading.joints_rad, reading.pose)
@@ -101,8 +98,8 @@ def _finite(value: float) -> float | None:
 
 
 def fitting(arm: Arm, joints_rad: Array, pose: Array) -> dict[str, float]:
-    """Return which single links and tool coordinates explain a controller's pose (4, 4), best
-    first: their names in the cell file, differences (mm, deg). Several at once are none.
+    """Single links and tool coordinates that explain a controller's pose (4, 4), the best first.
+    Their names in the cell file, with differences (mm, deg).
     """
     fits = []
     fitted = (*range(24), *range(30, 33))  # of `PARAMETERS` those that a cell file has
@@ -116,7 +113,7 @@ def fitting(arm: Arm, joints_rad: Array, pose: Array) -> dict[str, float]:
 
 
 def _fitted(arm: Arm, joints_rad: Array, pose: Array, column: int) -> tuple[Arm, float]:
-    """Return the arm with one parameter changed so that its pose fits best, and the change."""
+    """The arm with one parameter changed so that its pose fits best, and the change."""
     scale = np.array([1.0] * 3 + [1000.0] * 3)  # an angle acts over a metre
     other, step = arm, 0.0
     tries = 4
@@ -139,7 +136,7 @@ def _named(column: int, step: float) -> tuple[str, float]:
 
 
 def check_links(calibration: Calibration, name: str) -> None:
-    """Raise `HilcellError` for points that the controller solves with links of its factory."""
+    """Raise `HilcellError` for points that the controller solves with factory links."""
     if calibration.provenance.links == "factory":
         raise HilcellError(
             f"{name}: its points are Cartesian, and this robot's controller solves them with links "

@@ -1,12 +1,9 @@
-"""The decision rule for mean and largest error: accepted only where both surely keep their limits.
+"""Decision rule for mean and largest error, by `hilcell.model.outcome`.
 
-The rule is `hilcell.model.outcome`'s; exit code, screen, report and `compensate` ask it, the
-sequential rule of a quick plan takes its limits from it.
-
-U is that of the measurement (`measurement_budget`). |e| never changes by more than the
-position measured, so u of one coordinate, along e, bounds that of a single 3D error, and of the
-largest of many; in their mean the noise of readings averages. The largest error of orientation is
-judged by the same rule where the cell states a limit of it (deg).
+U is that of the measurement (`measurement_budget`). |e| never changes by more than the measured
+position, so u of one coordinate, along e, bounds that of a single 3D error, and of the largest of
+many; in their mean the noise of readings averages. The largest orientation error (deg) is judged
+likewise where the cell limits it.
 """
 
 from __future__ import annotations
@@ -44,7 +41,7 @@ def tolerance_limits(cell: Cell) -> Limits:
 
 
 def check_limits(cell: Cell) -> None:
-    """Raise `HilcellError` where the stated uncertainties alone leave nothing of a limit."""
+    """Raise `HilcellError` where the stated uncertainties alone consume a limit."""
     least_mm = expanded_mm(math.sqrt(stated_mm2(cell)))
     for name, limit_mm in (("mean", cell.validation.mean_tolerance_mm),
                            ("max", cell.validation.max_tolerance_mm)):  # fmt: skip
@@ -58,13 +55,12 @@ def check_limits(cell: Cell) -> None:
 
 
 def stated_mm2(cell: Cell) -> float:
-    """Return the variance of one coordinate of a reflector by the stated limits."""
     limits_mm = (cell.uncertainty.tracker_limit_mm, cell.uncertainty.smr_centring_limit_mm)
     return sum(map(rectangular_variance, limits_mm))
 
 
 def class_warning(cell: Cell, range_mm: float) -> str:
-    """Return why hardly any largest error could be accepted by the tracker's class, or ""."""
+    """Why hardly any largest error could be accepted with the tracker's class, or ""."""
     stated = tracker_accuracy(cell)
     if stated is None:
         return ""
@@ -88,7 +84,7 @@ def class_warning(cell: Cell, range_mm: float) -> str:
 
 
 def guard_band(log: Log, count: int) -> Guard:
-    """Return U of mean and largest of ``count`` 3D errors; raises `HilcellError` without {W}."""
+    """U of mean and largest of ``count`` 3D errors; raises `HilcellError` without {W}."""
     budget = measurement_budget(log)
     if budget is None:
         raise HilcellError("no error is judged: no position was measured in {W}", code="HC-C21")
@@ -96,7 +92,7 @@ def guard_band(log: Log, count: int) -> Guard:
 
 
 def limits_within(limits: Limits, guard: Guard) -> Limits:
-    """Return the limits that a measured figure must keep: less U, which may leave nothing."""
+    """Acceptance limits: the limits less U, negative where U is larger."""
     return limits._replace(
         mean_mm=limits.mean_mm - guard.mean_mm, max_mm=limits.max_mm - guard.max_mm
     )
@@ -112,9 +108,8 @@ def judged(
     also: Outcome = Outcome.ACCEPTED,
     words: str = "",
 ) -> Judged:
-    """Return the decision on mean and largest error, and on ``orientation`` by its limit.
-
-    ``also`` is the outcome of another test that must accept as well, ``words`` its text.
+    """Decide on mean and largest error, and on ``orientation`` by its limit. ``also``: outcome of
+    another test that must accept as well; ``words``: its text.
     """
     stated = Judged(
         holds=False,
@@ -144,7 +139,7 @@ def judged(
 
 
 def judged_again(stated: Judged, limits: Limits | None = None) -> Judged:
-    """Return the decision on a verdict's figures, by its own or other limits."""
+    """Decide again on a verdict's figures, by its own or other limits."""
     guard = Guard(stated.mean_U_mm, stated.max_U_mm)
     return judged(
         stated.mean_mm,
@@ -156,7 +151,7 @@ def judged_again(stated: Judged, limits: Limits | None = None) -> Judged:
 
 
 def judged_errors(log: Log, errors_mm: Array) -> Judged:
-    """Return the decision on 3D errors (N, 3) that a run measured, by its cell's limits."""
+    """Decide on 3D errors (N, 3) of a run, by its cell's limits."""
     found = figures_of(lengths_mm(errors_mm))
     return judged(
         found.mean, found.max, tolerance_limits(log.cell), guard_band(log, len(errors_mm))

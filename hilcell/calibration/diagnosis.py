@@ -1,26 +1,20 @@
-"""Diagnosis of a run: causes that its own comparisons let suspect.
+"""Diagnosis of a run: causes suspected from its own comparisons.
 
-Revisited poses, the mount, corrected targets, the ambient temperature, slow drift of tracker and
-robot, and what other modules compare: scale, axes, lost motion, changes since the calibration.
+Drift of the tracker: all readings of the floor nests are fitted with one motion, linear in the
+run's records, with an offset for each set-up, because slow drift stays within the limit of each
+check. A tracker that was bumped or wanders is not explained by one slope.
 
-Drift of the tracker: each check of the floor nests keeps its limit, or {W} is measured again. So
-all readings of the floor nests are fitted with one motion of the tracker, linear in the run's
-records, each set-up from a start of its own. A tracker that was bumped or wanders is not explained
-by one slope.
+Drift of the robot (as of an arm that warms up): offsets of all poses from the model show a slope in
+the order of their records. Each cause is fitted linear in the run's progress, beside what else
+moves poses: a motion of {B} at each stop of the slide, the arm's growth with the ambient
+temperature, smooth errors of the model. A slope counts where chance does not explain it, and where
+over the run it moves poses by more than the scatter of one visit.
 
-Drift of the robot, as of an arm that grows with its warm motors: no pose differs by more than
-visits do, but all poses, less what the calibration's model expects, show a slope in the order of
-their records. Each cause of a changed robot is fitted linear in the run's progress, beside what
-else moves poses: a shift and rotation of {B} at each hold of the slide, the arm's growth with the
-ambient temperature, and smooth errors of the model. A slope counts where chance does not explain
-it, and where over the run it moves the poses by more than one visit scatters.
-
-Scatter: a robot that repeats worse than it should (a brake that slips a little at each stop) moves
-no mean and loses no zero. So the deviations e of the corrected targets from their mean at each
-station are compared with their covariance C: by the mean of ``e' C^-1 e / 3``, and along the column
-a of each large axis by that of ``(a' C^-1 e)^2 / a' C^-1 a``. Both are 1 where the validation's
-budget is true, and are judged as F. If it slips from the first point on, the visits have it, too:
-they are compared with the stated RP.
+Scatter (as of a brake that slips at each stop): deviations e of corrected targets from their mean
+at each station are compared with their covariance C, by the mean of ``e' C^-1 e / 3``, and along
+the column a of each large axis by that of ``(a' C^-1 e)^2 / a' C^-1 a``. Both are 1 where the
+validation's budget is true, and are judged as F. Scatter from the first point on is in the visits
+too, which are compared with the stated RP.
 """
 
 from __future__ import annotations
@@ -107,7 +101,7 @@ from hilcell.ports import Array, HilcellError
 
 @of_measured
 def tracker_drift(log: Log) -> Suspicion | None:
-    """Return a slow motion of the tracker beyond the drift that the cell states, if there is."""
+    """Slow motion of the tracker beyond the stated drift, if any."""
     nests = [nest.name for nest in log.cell.layout.floor]
     points = [p for kind in PROOFS for p in log.measured(kind) if p.id.nest in nests]
     least_readings = 4  # of each nest
@@ -145,13 +139,13 @@ def tracker_drift(log: Log) -> Suspicion | None:
 
 
 def _shares(log: Log, points: list[Point]) -> Array:
-    """Return which share (N,) of the run's records was over at each point."""
+    """Progress (N,) of the run, in share of its records, at each point."""
     seen = np.array([log.recorded(point) for point in points], dtype=float)
     return np.asarray((seen - seen.min()) / (seen.max() - seen.min()))
 
 
 def _within(points: list[Point], at_mm: Array, share: Array) -> tuple[Array, Array]:
-    """Return places (N, 3) and shares (N,) less the weighted mean of their nest and set-up."""
+    """Positions (N, 3) and shares (N,) less the weighted mean of their nest and set-up."""
     off_mm, since = at_mm.copy(), share.copy()
     samples = np.array([point.samples for point in points], dtype=float)
     for group in {(p.set_up, p.id.nest) for p in points}:
@@ -166,12 +160,11 @@ def _within(points: list[Point], at_mm: Array, share: Array) -> tuple[Array, Arr
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """N poses of a run in their order, in {B}: their offsets (N, 3) from the model and covariances
-    (N, 3, 3), joints (N, 6), the share (N,) of the run that was over, how much warmer the room was
-    (N,), the number (N,) of the hold.
+    """N poses of a run in order, in {B}: offsets (N, 3) from the model, covariances (N, 3, 3).
 
-    ``holds`` (H, 6, 6) are the covariances of {B} at each hold, ``growth_per_k`` the arm's most,
-    ``freedom`` that of the scatter's estimate, ``floor_mm`` the scatter of one visit.
+    Also joints (N, 6), progress (N,), warming (N,), number (N,) of the stop of the slide. ``holds``
+    (H, 6, 6): covariances of {B} at each stop; ``growth_per_k``: the arm's largest; ``freedom``:
+    that of the scatter's estimate; ``floor_mm``: scatter of one visit.
     """
 
     off_mm: Array
@@ -186,7 +179,7 @@ class Series:
     floor_mm: float
 
     def nuisances(self, arm: Arm) -> tuple[Array, Array]:
-        """Return what else moves the poses, columns (N, 3, K), and its covariance (K, K)."""
+        """Other motions of the poses, columns (N, 3, K), and their covariance (K, K)."""
         at_mm = forward(arm, self.joints_rad)[:, :3, 3]
         J, count = motion_levers(at_mm), len(self.holds)
         motion = 6  # of {B} at a hold: shift, rotation vector
@@ -208,7 +201,7 @@ def robot_drift(log: Log) -> Suspicion | None:
 
 
 def drift_cause(series: Series, arm: Arm) -> Suspicion | None:
-    """Return the cause whose slope explains most, if chance does not and it matters."""
+    """The cause whose slope explains most, if significant and large enough."""
     causes = patterns(arm, series.joints_rad)
     whitening = np.asarray(np.linalg.inv(np.linalg.cholesky(series.covariance_mm2)), dtype=float)
     white = (whitening @ series.off_mm[:, :, None]).ravel()
@@ -245,10 +238,10 @@ def drift_cause(series: Series, arm: Arm) -> Suspicion | None:
 
 
 def _of_model(at_mm: Array, causes: list[Pattern]) -> Array:
-    """Return smooth errors that the model may have left, columns (N, 3, K) of 0.05 mm each: the
-    causes' own patterns, alike everywhere, and growing along x and along z.
+    """Possible smooth errors of the model, columns (N, 3, K) of 0.05 mm each.
 
-    Poses are visited in an order, so such an error resembles a slope.
+    The causes' patterns, constant, and growing along x and z: poses are visited in an order, so
+    such an error resembles a slope.
     """
     alike = np.dstack([cause.columns.reshape(len(at_mm), 3, -1) for cause in causes])
     along = (at_mm - at_mm.mean(axis=0))[:, None, [0, 2]] / np.ptp(at_mm, axis=0).max()
@@ -259,7 +252,7 @@ def _of_model(at_mm: Array, causes: list[Pattern]) -> Array:
 
 
 def pose_series(log: Log) -> Series | None:
-    """Return the poses of a run; None where no model was fitted, or too few were measured."""
+    """Poses of a run; None without a model, or with too few poses."""
     calibration = learnt_so_far(log)
     if calibration is None or calibration.uncertainty.missing:
         return None
@@ -295,13 +288,13 @@ def pose_series(log: Log) -> Series | None:
 
 
 def _warmer_k(points: list[Point], unknown_k: Array) -> Array:
-    """Return the room's warming (N,) since the first; ``unknown_k`` without a weather station."""
+    """Warming (N,) since the first point; ``unknown_k`` without a weather station."""
     celsius = [p.temperature_c for p in points if p.temperature_c is not None]
     return unknown_k if len(celsius) < len(points) else np.array(celsius) - celsius[0]
 
 
 def _counts(point: Point) -> bool:
-    """Whether a point is the tool point's at a pose that came from below."""
+    """Whether a point is the tool point's at a pose approached from below."""
     # Visits of three places alone are left out: the model's errors there are no noise.
     kinds = ("grid", "revisit", "touch", "validate", "closing")
     own = point.id.kind in kinds and point.id.seat is None and not point.id.side
@@ -309,7 +302,7 @@ def _counts(point: Point) -> bool:
 
 
 def _place(point: Point) -> tuple[object, ...]:
-    """Return what poses have in common that are sent to one place, where the model errs alike."""
+    """Key of the commanded place, where the model's error is the same."""
     id = point.id
     return ("vertex", id.vertex) if id.vertex else (id.kind, id.station, id.number)
 
@@ -320,7 +313,7 @@ def _hold(
     points: list[Point],
     repeats: Mapping[tuple[object, ...], int],
 ) -> tuple[Array, Array, Array]:
-    """Return offsets (N, 3) in {B} at a hold, covariances (N, 3, 3), and that of {B} (6, 6)."""
+    """Offsets (N, 3) in {B} at one stop, covariances (N, 3, 3), and that of {B} (6, 6)."""
     station = log.cell.station_named(points[0].station)
     T_W_B = calibration.base(station.name)
     T_B_L = inverse(T_W_B) @ log.matrix("world")
@@ -336,7 +329,7 @@ def _hold(
 
 
 def _placed(log: Log, T_W_B: Array, point: Point) -> Array:
-    """Return how well {B} is known at a hold, (6, 6) in {B}: strip, station frame, tracker."""
+    """Uncertainty of {B} at one stop, (6, 6) in {B}: strip, station frame, tracker."""
     cell, at_mm = log.cell, T_W_B[:3, 3]
     drift_mm2 = rectangular_variance(cell.uncertainty.drift_limit_mm)
     covariance = base_covariance(log, cell.station_named(point.station))
@@ -352,13 +345,13 @@ NOTICED_BY = "weather station"
 
 
 def reference_c(log: Log) -> float | None:
-    """Return the temperature at the grid's first point, before there is one at the run's first."""
+    """Temperature at the grid's first point, or before that at the run's first."""
     points = chain(log.measured("grid"), log.points.values())
     return next((p.temperature_c for p in points if p.temperature_c is not None), None)
 
 
 def warm(log: Log) -> Suspicion | None:
-    """Return the room's change, where points that count were measured beyond its limit."""
+    """Change of ambient temperature, where points that count exceed its limit."""
     then_c = reference_c(log)
     if then_c is None:
         return None
@@ -378,7 +371,7 @@ def warm(log: Log) -> Suspicion | None:
 
 
 def misplaced_base(log: Log) -> Suspicion | None:
-    """Return a base that is not at its place by the cell file, with the cause that fits."""
+    """A base off its place by the cell file, with the matching cause."""
     cell = log.cell
     if not isinstance(log.frames.get("base"), MeasuredBase):
         return None
@@ -397,7 +390,7 @@ def misplaced_base(log: Log) -> Suspicion | None:
 
 
 def _balls(off_mm: Array) -> str:
-    """Return which reflectors in all floor nests leave a base (3,) off so; "" for none."""
+    """Reflectors in all floor nests that explain a base's offset (3,); "" for none."""
     inch_mm = 25.4
     balls_in = (0.5, 0.875, 1.5)  # diameters of reflectors as sold
     same_mm = 3.0  # by which a base that is bolted as usual may be elsewhere
@@ -418,7 +411,7 @@ CIRCLE, CONSTANT = "circle of axis 6", "constant error in the tool's frame"
 
 
 def mount_offset(log: Log) -> Suspicion | None:
-    """Return a reflector that is not where the cell file says, if it is clearly not."""
+    """A reflector clearly off its place by the cell file, if any."""
     frame, arm = log.frames.get("base"), log.cell.robot.arm()
     of_base, radius_mm2 = np.zeros((6, 6)), 0.0
     sigmas = 3.0
@@ -448,7 +441,7 @@ def mount_offset(log: Log) -> Suspicion | None:
 
 
 def _by_circles(log: Log) -> tuple[Array, float]:
-    """Return the covariances that both circles' readings give {B} (6, 6) and axis 6's radius."""
+    """Covariances of {B} (6, 6) and of axis 6's radius by the readings of both circles."""
     circles, covariances = [], []
     for axis in (1, 6):
         points = log.select("base", axis=axis)
@@ -472,24 +465,22 @@ VERDICTS = {REVISIT: "revisits", CLOSING: "revisits.closing"}  # their keys in t
 
 
 def established(log: Log, kind: str) -> Suspicion | None:
-    """Return what re-visits have shown before: the points in between are of a changed robot."""
+    """Cause shown by earlier re-visits: points in between are of a changed robot."""
     kept = log.verdict(Revisited, VERDICTS[kind])
     return None if kept is None else kept.suspicion
 
 
 def revisited(log: Log, kind: str) -> list[Point]:
-    """Return the points of poses that were visited again, in the order of the first readings.
-
-    One whose first reading was replaced by a later one counts only after another visit.
+    """Points of poses visited again, in the order of their first readings. A pose whose first
+    reading was replaced later counts only after another visit.
     """
     points = [point for point in log.select(kind) if _first(log, point) < log.recorded(point)]
     return sorted(points, key=lambda point: _first(log, point))
 
 
 def overtaken(log: Log, point: Point) -> bool:
-    """Whether something was measured after the visit of a pose that is to verify it.
-
-    At the end that is all but verifications, after the grid the pose's first reading.
+    """Whether anything was measured after the visit of a pose that is to verify it. At the end,
+    anything except verifications; after the grid, the pose's first reading.
     """
     if point.id.kind != CLOSING:
         return _first(log, point) > log.recorded(point)
@@ -506,7 +497,7 @@ def _before(log: Log, point: Point) -> Point:
 
 @of_measured
 def revisits(log: Log, kind: str) -> Change:
-    """Return whether the poses that were visited again are where they were."""
+    """Compare poses that were visited again with their first visits."""
     names = {REVISIT: "re-visited poses", CLOSING: "vertices re-visited at the end"}
     return changed(_differences(log, kind), log.cell.robot.arm(), names[kind])
 
@@ -544,10 +535,10 @@ def _differences(log: Log, kind: str) -> Differences:
 
 
 def _moments(before: list[Point]) -> list[int]:
-    """Return of how many of the first visits a change is judged to have come after.
+    """Candidate moments of a change, as numbers of first visits before it.
 
-    A few spread over the grid, the first right after the base frame: each more is one more chance
-    of a false alarm, and finds hardly what its neighbours do not.
+    A few over the grid, the first right after the base frame: each adds a chance of a false alarm,
+    and neighbours hardly differ.
     """
     of_base = sum(point.id.kind == "base" for point in before)
     moments = 5  # of the grid at which a change may have come
@@ -555,8 +546,8 @@ def _moments(before: list[Point]) -> list[int]:
 
 
 def _framed_again(log: Log, R: Array) -> Array:
-    """Return the covariance (7, 7) in {B} of one set-up's {W} as seen from another's, ``R`` (3, 3)
-    turning from {W}: both rest on readings of the floor nests, of a tracker that drifts.
+    """Covariance (7, 7) in {B} of one set-up's {W} in another's, ``R`` (3, 3) rotating from {W}.
+    Both rest on readings of the floor nests, of a tracker that drifts.
     """
     drift_mm2 = rectangular_variance(log.cell.uncertainty.drift_limit_mm)
     turn = np.kron(np.eye(2), R)
@@ -607,8 +598,8 @@ def _of_targets(log: Log, fit: int) -> list[Suspicion]:
 
 
 class Deviations(NamedTuple):
-    """Deviations (N, 3) of targets from the mean of their station, in {W}, covariances (N, 3, 3),
-    columns (N, 3, K) of axes in mm / rad, and the covariances' degrees of freedom.
+    """Deviations (N, 3) of targets from their station's mean, in {W}, and covariances (N, 3, 3).
+    Columns (N, 3, K) of axes in mm / rad, and the covariances' degrees of freedom.
     """
 
     off_mm: Array
@@ -618,15 +609,14 @@ class Deviations(NamedTuple):
 
 
 def scattered(log: Log) -> Suspicion | None:
-    """Return a repeatability worse than the run's own, where the corrected targets show it."""
+    """A repeatability worse than the run's own, shown by the corrected targets."""
     deviations = log.once_measured(target_deviations)
     return None if deviations is None else worst_scatter(deviations)
 
 
 def worse_than_stated(log: Log) -> Suspicion | None:
-    """Return a repeatability worse than the stated one, where repeated visits show it.
-
-    The least ratio of RP to the rms distance is taken, and the readings' noise comes on top.
+    """A repeatability worse than stated, shown by repeated visits. By the least ratio of RP to the
+    rms distance, with the readings' noise added.
     """
     stated_mm, visits = log.cell.robot.rp_mm, repeated_visits(log)
     if stated_mm is None or not visits:
@@ -646,7 +636,7 @@ def worse_than_stated(log: Log) -> Suspicion | None:
 
 
 def target_deviations(log: Log) -> Deviations | None:
-    """Return the corrected targets' deviations; None where none or no bound is known."""
+    """Deviations of the corrected targets; None without targets or bound."""
     calibration = learnt_so_far(log)
     if calibration is None:
         return None
@@ -677,7 +667,7 @@ def target_deviations(log: Log) -> Deviations | None:
 
 
 def worst_scatter(deviations: Deviations) -> Suspicion | None:
-    """Return what the test farthest beyond its limit shows; None where chance explains all."""
+    """Result of the test farthest beyond its limit; None where chance explains all."""
     off_mm, columns = deviations.off_mm, deviations.columns
     weighted = np.linalg.solve(deviations.covariance_mm2, np.dstack([off_mm, columns]))
     count, axes = len(off_mm), columns.shape[2]
@@ -711,10 +701,10 @@ def _targets(log: Log) -> list[Suspicion]:
 
 
 def suspected_causes(log: Log) -> list[Suspicion]:
-    """Return what a run's journal lets suspect; nothing where all is as predicted.
+    """Causes that a run's journal suspects.
 
-    A correction that was learnt from a robot which changed names no cause of its own. Slow and
-    small changes show where nothing larger has changed, or nothing that has a name.
+    A correction learnt from a changed robot adds no cause of its own. Slow and small changes count
+    where nothing larger has changed, or nothing with a known cause.
     """
     nest = risen_nest(log)
     alone = [

@@ -1,8 +1,8 @@
-"""The calibration file: a finished calibration for others, one JSON schema with a version.
+"""The calibration file: one JSON schema with a version.
 
-All lengths mm, frames as homogeneous matrices; the errors of the grid are in {B}, so that they are
-valid at every station. One changed digit corrects every target wrongly, so the file has a seal, and
-is checked before it is used.
+Lengths in mm, frames as homogeneous matrices; grid errors in {B}, so that they are valid at every
+station. One changed digit corrects every target wrongly, so the file has a seal and is checked
+before use.
 """
 
 from __future__ import annotations
@@ -52,10 +52,8 @@ NAMED = 5  # targets that one message names
 
 
 class Validity(msgspec.Struct, frozen=True):
-    """Where the calibration holds: the cube in {B}, one orientation, the measured temperatures.
-
-    ``temperature_c`` is None where the tracker had no weather station, ``orientations`` are those
-    that were measured besides.
+    """Range of validity: the cube in {B}, orientation, measured temperatures. ``temperature_c``:
+    None without a weather station; ``orientations``: those measured besides.
     """
 
     low_mm: tuple[float, float, float]
@@ -66,15 +64,14 @@ class Validity(msgspec.Struct, frozen=True):
     orientations: list[list[list[float]]] = []
 
     def turned_deg(self, poses: Array) -> Array:
-        """Return the rotations (N,) of poses (N, 4, 4) in {B} from the nearest orientation."""
+        """Rotations (N,) of poses (N, 4, 4) in {B} from the nearest orientation, deg."""
         known = (self.orientation, *self.orientations)
         angles_deg = [turned_deg(np.array(R), poses) for R in known]
         return np.asarray(np.min(angles_deg, axis=0))
 
     def points_back(self, poses: Array) -> Bools:
-        """Return which poses (N, 4, 4) in {B} have z against every calibrated one's, (N,).
-
-        Within the tolerance of the axis: the turn about it does not matter.
+        """Which poses (N, 4, 4) in {B} have z opposite to every calibrated one, (N,). Within the
+        tolerance of the axis; rotation about it does not matter.
         """
         axes = np.array([self.orientation, *self.orientations])[:, :, 2]
         against = np.clip(-(poses[:, :3, 2] @ axes.T), -1.0, 1.0).max(axis=1)
@@ -82,10 +79,10 @@ class Validity(msgspec.Struct, frozen=True):
 
 
 class LostMotion(msgspec.Struct, frozen=True):
-    """The lost motion of axes 1 to 6 when they reverse, and 1 sigma of it, in rad.
+    """Lost motion of axes 1 to 6 at reversal, and 1 sigma of it, rad.
 
     An axis that arrives from above is lower by it than one that arrives from below. ``measured``:
-    the run measured it, of axes 1 to 3.
+    by the run, for axes 1 to 3.
     """
 
     lost_rad: list[float]
@@ -94,15 +91,16 @@ class LostMotion(msgspec.Struct, frozen=True):
 
 
 class ModelEntry(msgspec.Struct, frozen=True):
-    """The model by its name, with its own parameters: typed by `LearntModel.restore`."""
+    """The model's name and parameters, typed by `LearntModel.restore`."""
 
     name: str
     parameters: Json
 
 
 class TargetPass(msgspec.Struct, frozen=True):
-    """Targets measured in one run: names, commanded poses x, y, z (mm), a, b, c (deg) in {B}, what
-    the model left of the error there (N, 3) in mm, its covariance (N, 3, 3) from visit and reading,
+    """Targets measured in one run: names, commanded poses x, y, z (mm), a, b, c (deg) in {B}.
+
+    Residual errors of the model (N, 3) in mm, their covariance (N, 3, 3) from visit and reading,
     and that of the frames (7, 7) as in `Influence`, about the origin of {B}.
     """
 
@@ -133,7 +131,7 @@ class TargetPass(msgspec.Struct, frozen=True):
 
 
 class Targets(msgspec.Struct, frozen=True):
-    """Passes over targets, and the variance of one coordinate by which they are folded in."""
+    """Passes over targets, and the variance of one coordinate used to fold them in."""
 
     variance_mm2: float
     passes: list[TargetPass]
@@ -143,10 +141,10 @@ class Targets(msgspec.Struct, frozen=True):
 
 
 class Calibration(msgspec.Struct, frozen=True, dict=True):
-    """The file. ``targets`` are those that later runs have measured.
+    """The file; ``targets`` were measured by later runs.
 
-    ``verdicts`` are the validation's by place, none where it was not made. ``failed`` are other
-    verdicts of the same run that do not hold, each in words, suspicions among them.
+    ``verdicts``: of the validation by place, none without validation; ``failed``: other failed
+    verdicts of the run as text, suspicions included.
     """
 
     schema: int
@@ -164,27 +162,26 @@ class Calibration(msgspec.Struct, frozen=True, dict=True):
 
     @property
     def budget(self) -> Uncertainty:
-        """Return the budget of corrected targets; raises `NoBound` where it states none."""
+        """Budget of corrected targets; raises `NoBound` where there is none."""
         if self.uncertainty.missing:
             raise NoBound(self.uncertainty.missing)
         return self.uncertainty
 
     def grid(self) -> Grid:
-        """Return the grid in {B}."""
         errors = np.array(self.grid_errors_mm)
         shape = (errors.shape[0], errors.shape[1], errors.shape[2])
         return Grid(np.array(self.validity.low_mm), self.pitch_mm, shape)
 
     def base(self, station: str) -> Array:
-        """Return {B} in {W} (4, 4) at a station."""
+        """{B} in {W} (4, 4) at a station."""
         return np.array(self.stations[station].T_W_B)
 
     def poses_at(self, places_mm: Array) -> Array:
-        """Return poses (N, 4, 4) in {B} at places (N, 3), in the calibrated orientation."""
+        """Poses (N, 4, 4) in {B} at positions (N, 3), in the calibrated orientation."""
         return matrix(np.array(self.validity.orientation), places_mm)
 
     def error_model(self) -> ErrorModel:
-        """Return the model, targets folded in; raises `HilcellError` for parameters of none."""
+        """The model, targets folded in; raises `HilcellError` for invalid parameters."""
         return self._error_model
 
     @cached_property
@@ -210,14 +207,14 @@ def written_now() -> str:
 
 
 def write_calibration(calibration: Calibration, path: Path) -> None:
-    """Write the file whole, with its seal; raises `NotWritten`."""
+    """Write the file atomically, with its seal; raises `NotWritten`."""
     content = msgspec.json.decode(msgspec.json.encode(calibration))
     text = msgspec.json.encode(content | {SEAL: _seal(content)})
     write_whole(path, msgspec.json.format(text, indent=1) + b"\n")
 
 
 def read_calibration(path: Path) -> Calibration:
-    """Read the file; raises `SettingsError` for anything that is not one, whole and of sense."""
+    """Read the file; raises `SettingsError` unless complete and consistent."""
     data = read_file(path)
     try:
         schema = decoded(data, _Head).schema
@@ -236,13 +233,12 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def _seal(content: Json) -> str:
-    """Return SHA-256 over all but the seal: against damage, no signature."""
+    """SHA-256 of everything except the seal: detects damage, no signature."""
     rest = {key: value for key, value in content.items() if key != SEAL}
     return hashlib.sha256(msgspec.json.encode(rest, order="sorted")).hexdigest()
 
 
 def seal_problems(content: Json) -> list[str]:
-    """Return what is wrong with the seal of a calibration file's content, if anything is."""
     if content.get(SEAL) == _seal(content):
         return []
     return ["was changed after it was written: its seal does not hold; take the run's own file"]
@@ -259,9 +255,8 @@ def compensate_targets(
     names: list[str],
     tip: Tip = AT_REFLECTOR,
 ) -> Array:
-    """Return what to command, (N, 6) in {W}, for nominal ``targets`` (N, 6), both of the ``tip``.
-
-    Raises `HilcellError` naming those outside of the calibrated volume or orientation.
+    """Poses to command, (N, 6) in {W}, for nominal ``targets`` (N, 6), both of the ``tip``. Raises
+    `HilcellError` naming those outside of the calibrated volume or orientation.
     """
     if station not in calibration.stations:
         known = ", ".join(calibration.stations)
@@ -314,7 +309,7 @@ MOST_MM = 1e6
 
 
 def file_problems(calibration: Calibration) -> list[str]:
-    """Return in words everything that is wrong, each with the name of its field."""
+    """All problems as text, each with the name of its field."""
     checks = _Checks(calibration)
     problems = [
         *checks.name(),
@@ -344,7 +339,7 @@ class _Checks:
             yield f"model.name: {name[:40]!r} is unknown; known here: {', '.join(MODELS)}"
 
     def model(self) -> Iterator[str]:
-        """Yield why no model can be made of a file that is sound otherwise."""
+        """Yield why an otherwise valid file gives no model."""
         try:
             self.calibration.error_model()
         except HilcellError as error:
@@ -479,7 +474,6 @@ class _Checks:
 
     @staticmethod
     def _is_covariance(covariance: Array) -> bool:
-        """Whether it is a covariance (7, 7): of sane size, symmetric, no negative variance."""
         most_variance = 1e12  # mm2, rad2, or a ratio squared
         if covariance.shape != (SIZE, SIZE) or not np.abs(covariance).max() <= most_variance:
             return False
@@ -514,7 +508,7 @@ class _Checks:
 
     @staticmethod
     def _array(nested: ArrayLike) -> Array:
-        """Return an array of numbers, empty where the lists are ragged."""
+        """Array of numbers, empty where the lists are ragged."""
         try:
             return np.array(nested, dtype=float)
         except ValueError:

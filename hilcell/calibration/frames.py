@@ -1,11 +1,9 @@
 """The calibration as a chain of frames, read from a run's log.
 
 {L} tracker, {W} world, {B} robot base, {S} slide: ``T_W_L`` comes from the floor nests, ``T_W_B``
-at the grid's station from circles of axes 1 and 6, ``T_W_S`` at every station from slide nests.
-The robot is bolted to the slide, so eq 17 gives every station's base frame.
-
-How well a run knows its frames is a covariance (6, 6) of each: of the shift of the frame's origin
-(mm) and of a rotation vector about it (rad), with the axes of {W}, as in `hilcell.geometry.frames`.
+at the grid's station from circles of axes 1 and 6, ``T_W_S`` at every station from slide nests; eq
+17 gives every station's base, which is bolted to the slide. Covariances (6, 6): shift of the
+frame's origin (mm), rotation vector about it (rad), axes of {W}, as in `hilcell.geometry.frames`.
 """
 
 from __future__ import annotations
@@ -35,22 +33,22 @@ from hilcell.ports import Array
 
 
 def base_at(T_W_S1: Array, T_W_Si: Array, T_W_B1: Array) -> Array:
-    """Return {B} in {W} (4, 4) at station i from {B} at station 1: the slide is rigid, it rides.
+    """{B} in {W} (4, 4) at station i from {B} at station 1: the slide is rigid.
 
-    Eqs 11-13 and 17, corrected; {B} in {S} cancels. Nominal targets ride along as measured data do:
-    data alone would lose the rail's offset, as if it were an error of the robot.
+    Eqs 11-13 and 17, corrected; {B} in {S} cancels. Nominal targets move along as measured data do:
+    otherwise the rail's offset would count as an error of the robot.
     """
     return T_W_Si @ inverse(T_W_S1) @ T_W_B1
 
 
 class Frames:
-    """Frames of a cell: measured where the log has them, nominal before."""
+    """Frames of a cell: measured where the log has them, otherwise nominal."""
 
     def __init__(self, cell: Cell, log: Log) -> None:
         self.cell, self._log = cell, log
 
     def tracker_in_world(self, set_up: int | None = None) -> Array:
-        """Return T_W_L (4, 4) at a set-up, or at the present one."""
+        """T_W_L (4, 4) at a set-up, or at the present one."""
         number = self._log.set_ups.number if set_up is None else set_up
         for key in (world_key(number), "world"):
             if key in self._log.frames:
@@ -61,7 +59,7 @@ class Frames:
         return "base" in self._log.frames
 
     def base_in_world(self, station: Station) -> Array:
-        """Return T_W_B (4, 4) at ``station``, by eq 17 where the stations are framed."""
+        """T_W_B (4, 4) at ``station``, by eq 17 where the stations are framed."""
         reference = self.cell.reference
         if not self.based():
             return self.cell.layout.nominal_base(station.rail_mm)
@@ -81,15 +79,14 @@ class Frames:
         return isinstance(frame, TouchedBase) and frame.visit == self._log.visit
 
     def base_on_visit(self, station: Station) -> Array:
-        """Return T_W_B (4, 4) as touched on this visit, else `base_in_world`: for commands only."""
+        """T_W_B (4, 4) as touched on this visit, else `base_in_world`: for commands only."""
         if self.touched(station):
             return self._log.matrix(f"touch.{station.name}")
         return self.base_in_world(station)
 
     def on_visit_mm(self, station: Station, targets_mm: Array) -> Array:
-        """Return what the arm has to reach in {B} for targets (N, 3) of `base_in_world`'s {B}.
-
-        In the base of this visit, by an arm that has grown since the grid was measured.
+        """Command in {B} for targets (N, 3) of `base_in_world`'s {B}. In the base of this visit, by
+        an arm that has grown since the grid was measured.
         """
         at_mm = apply(
             inverse(self.base_on_visit(station)) @ self.base_in_world(station), targets_mm
@@ -101,7 +98,7 @@ class Frames:
         return centre_mm + (at_mm - centre_mm) / (1.0 + growth)
 
     def carried(self, kind: str, station: Station) -> Array:
-        """Return T_W_B (4, 4) by {S} of a ``kind``: ``station``, or ``three_points``."""
+        """T_W_B (4, 4) by {S} of a ``kind``: ``station``, or ``three_points``."""
         T_W_S1 = self._log.matrix(f"{kind}.{self.cell.grid.station}")
         T_W_Si = self._log.matrix(f"{kind}.{station.name}")
         return base_at(T_W_S1, T_W_Si, self._log.matrix("base"))
@@ -117,7 +114,7 @@ class Frames:
 
 
 def world_from_tracker(cell: Cell, measured_mm: Array) -> Array:
-    """Return T_W_L (4, 4): the three first of the floor nests (N, 3) span {W} after eqs 14-16."""
+    """T_W_L (4, 4): the first three floor nests (N, 3) span {W} by eqs 14-16."""
     nominal_mm = np.array([nest.xyz_mm for nest in cell.layout.floor])
     return three_point_frame(*nominal_mm[:3]) @ inverse(three_point_frame(*measured_mm[:3]))
 
@@ -125,20 +122,20 @@ def world_from_tracker(cell: Cell, measured_mm: Array) -> Array:
 def frame_of_sweeps(
     cell: Cell, log: Log, swept_1: list[Point], swept_6: list[Point]
 ) -> tuple[Array, Circle, Circle]:
-    """Return T_W_B (4, 4) and the circles of axes 1 and 6 from the points of both sweeps."""
+    """T_W_B (4, 4) and the circles of axes 1 and 6 from the points of both sweeps."""
     axis_1, axis_6 = axis_circle(cell, log, 1, swept_1), axis_circle(cell, log, 6, swept_6)
     return base_frame(axis_1, axis_6, axis_6_height_mm(cell)), axis_1, axis_6
 
 
 def axis_circle(cell: Cell, log: Log, axis: int, points: list[Point]) -> Circle:
-    """Return the circle in {W} through the points of one sweep, or of a part of it."""
+    """Circle in {W} through the points of one sweep, or of a part of it."""
     begin_deg, end_deg = sweep_of(cell, axis)[1]
     turn = cell.robot.joint[axis - 1].sign * (end_deg - begin_deg)
     return fit_circle(apply(log.matrix("world"), positions_mm(points)), turn=turn)
 
 
 def sweep_of(cell: Cell, axis: int) -> tuple[Six, tuple[float, float]]:
-    """Return the fixed joints and the ends of axis 1's or 6's sweep, in deg."""
+    """Fixed joints and ends of axis 1's or 6's sweep, deg."""
     table = cell.base_frame
     return {
         1: (table.axis_1_deg, table.axis_1_sweep_deg),
@@ -147,7 +144,7 @@ def sweep_of(cell: Cell, axis: int) -> tuple[Six, tuple[float, float]]:
 
 
 def axis_6_height_mm(cell: Cell) -> float:
-    """Return the nominal height in {B} of the centre of axis 6's circle: a point on the axis."""
+    """Nominal height in {B} of the centre of axis 6's circle: a point on the axis."""
     arm = cell.robot.arm()
     on_axis = arm.tool.copy()
     on_axis[:2, 3] = 0.0
@@ -156,7 +153,7 @@ def axis_6_height_mm(cell: Cell) -> float:
 
 
 def floor_points(log: Log) -> list[Point]:
-    """Return the points of the three floor nests that define {W}, as far as they were measured."""
+    """Measured points of the three floor nests that define {W}."""
     nests = [
         log.find(PointId("world", nest=nest.name)) for nest in log.cell.layout.floor[:FLOOR_NESTS]
     ]
@@ -164,10 +161,10 @@ def floor_points(log: Log) -> list[Point]:
 
 
 def world_covariance(log: Log, at_mm: Array, centring_mm2: float = 0.0) -> Array:
-    """Return the covariance that the noise of the floor nests gives a frame at ``at_mm`` (3,).
+    """Covariance of a frame at ``at_mm`` (3,) by the noise of the floor nests.
 
-    {W} is spanned by three nests (eqs 14-16), so each coordinate of each is moved by its own
-    standard deviation. ``centring_mm2`` is the variance of each besides its reading's.
+    Three nests span {W} (eqs 14-16), so each coordinate of each is moved by its own standard
+    deviation. ``centring_mm2``: additional variance of each.
     """
     std_mm = np.sqrt(variances_mm2(floor_points(log)) + centring_mm2)
     moved = _world_motions(log, at_mm, np.diag(std_mm.ravel()).reshape(-1, FLOOR_NESTS, 3))
@@ -175,7 +172,7 @@ def world_covariance(log: Log, at_mm: Array, centring_mm2: float = 0.0) -> Array
 
 
 def world_as_framed(log: Log) -> Array | None:
-    """Return the covariance (6, 6) of {W} at its origin by its floor nests, None without all."""
+    """Covariance (6, 6) of {W} at its origin by its floor nests, None without all."""
     if len(floor_points(log)) != FLOOR_NESTS:
         return None
     centring_mm2 = rectangular_variance(log.cell.uncertainty.smr_centring_limit_mm)
@@ -183,14 +180,14 @@ def world_as_framed(log: Log) -> Array | None:
 
 
 def world_motion(log: Log, at_mm: Array, nest: int, step_mm: Array) -> Array:
-    """Return the motion (6,) in {W} at ``at_mm`` of a nest's ``step_mm`` (3,), tracker's frame."""
+    """Motion (6,) in {W} at ``at_mm`` by a nest's ``step_mm`` (3,), tracker's frame."""
     steps_mm = np.zeros((1, FLOOR_NESTS, 3))
     steps_mm[0, nest] = step_mm
     return np.asarray(_world_motions(log, at_mm, steps_mm)[0])
 
 
 def _world_motions(log: Log, at_mm: Array, steps_mm: Array) -> Array:
-    """Return the motions (N, 6) of `world_motion` for steps (N, 3, 3) of all nests."""
+    """Motions (N, 6) as `world_motion`, for steps (N, 3, 3) of all nests."""
     measured_mm, T_W_L = positions_mm(floor_points(log)), log.matrix("world")
     before, seen_mm = T_W_L @ three_point_frame(*measured_mm), apply(inverse(T_W_L), at_mm[None])
     T = before @ inverse(three_point_frames(measured_mm + steps_mm))
@@ -199,10 +196,8 @@ def _world_motions(log: Log, at_mm: Array, steps_mm: Array) -> Array:
 
 
 def base_covariance(log: Log, station: Station) -> Array:
-    """Return the covariance of {B} at ``station`` as it was carried there from the grid's station.
-
-    Nothing is carried at the grid's own: the grid's errors are in the {B} measured there, and
-    an error of that {B} moves grid and targets alike.
+    """Covariance of {B} at ``station``, carried there from the grid's station. 0 at the grid's own:
+    an error of the {B} measured there moves grid and targets alike.
     """
     if station.name == log.cell.grid.station:
         return np.zeros((6, 6))
@@ -214,18 +209,18 @@ def base_covariance(log: Log, station: Station) -> Array:
 
 
 def hold_covariance(cell: Cell) -> Array:
-    """Return the covariance (3, 3) in {W} of a held slide: along the rail, by the interlock."""
+    """Covariance (3, 3) in {W} of a held slide: along the rail, by the interlock."""
     along = np.array(cell.layout.rail_direction)
     return rectangular_variance(cell.rail.hold_limit_mm) * np.outer(along, along)
 
 
 def has_own_place(cell: Cell, key: str) -> bool:
-    """Whether a frame is measured by itself; without a rail a station's is a copy of the base."""
+    """Whether a frame is measured separately; without a rail a station's is a copy of the base."""
     return key == "base" or cell.has_rail
 
 
 def slide_covariance(cell: Cell, T_W_S: Array, variance_mm2: float, nests: int = 100) -> Array:
-    """Return the covariance in {W} of {S} by a variance of each of the first slide nests."""
+    """Covariance in {W} of {S} by a variance of each of the first slide nests."""
     nests_mm = np.array([nest.xyz_mm for nest in cell.layout.slide])
     in_slide_mm = apply(inverse(three_point_frame(*nests_mm[:3])), nests_mm[:nests])
     variances_mm2 = np.tile(variance_mm2 * np.eye(3), (len(in_slide_mm), 1, 1))

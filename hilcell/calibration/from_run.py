@@ -1,7 +1,7 @@
-"""The calibration that a run makes: of its own grid, or a change of the one that it used.
+"""The calibration that a run makes: of its own grid, or an update of the one that it used.
 
-A re-check that measured a moved base keeps model and volume and changes the base frames. The robot
-is bolted to the slide, so the motion is the same in {B} at each station.
+A re-check that measured a moved base changes the base frames only. The robot is bolted to the
+slide, so the motion in {B} is the same at each station.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ ORIENTATION_TOLERANCE_DEG = 2.0
 
 
 def calibration_from_log(log: Log, run: str) -> Calibration:
-    """Compute the calibration from the log of a run that reached the fit."""
+    """Calibration from the log of a run that reached the fit."""
     cell, frames, measured = log.cell, Frames(log.cell, log), measured_errors(log)
     grid, sign, fit = measured.grid.grid, log.verdict(SignChecked), log.verdict(Fitted)
     if fit is None:
@@ -81,7 +81,7 @@ def calibration_from_log(log: Log, run: str) -> Calibration:
 
 
 def validation_verdicts(log: Log) -> dict[str, Judged]:
-    """Return the verdicts of a run's validation by place; none where it was not made."""
+    """Verdicts of a run's validation by place; none without validation."""
     return {
         key.removeprefix(VALIDATION): verdict
         for key, verdict in log.verdicts.items()
@@ -90,7 +90,7 @@ def validation_verdicts(log: Log) -> dict[str, Judged]:
 
 
 def other_failed_verdicts(log: Log) -> dict[str, str]:
-    """Return the verdicts besides the validation's that do not hold, in words."""
+    """Other failed verdicts, as text."""
     return {
         key: verdict.why
         for key, verdict in log.verdicts.items()
@@ -99,18 +99,17 @@ def other_failed_verdicts(log: Log) -> dict[str, str]:
 
 
 def orientation_tolerance_deg(cell: Cell, method: str) -> float:
-    """Return by how much targets may turn away from the grid's orientation."""
+    """Allowed rotation of targets from the grid's orientation."""
     tilt_deg = cell.plan.tilt_deg if MODELS[method].any_orientation else 0.0
     return max(ORIENTATION_TOLERANCE_DEG, tilt_deg)
 
 
 def calibration_so_far(log: Log, run: str) -> Calibration | None:
-    """Return the calibration of a log that has reached the fit, nothing before."""
     return log.once(calibration_from_log, run) if _fitted(log) else None
 
 
 def learnt_so_far(log: Log) -> Calibration | None:
-    """Return the same for what it was learnt from; verdicts that came since may be missing."""
+    """The calibration as learnt, possibly without later verdicts."""
     if not _fitted(log):
         return None
     return log.once_measured(_learnt, log.judged["fit"].seq)
@@ -132,7 +131,7 @@ def _entry(log: Log, base: Array, station: str) -> StationEntry:
 
 
 def calibration_after(log: Log, run: str) -> Calibration:
-    """Return the calibration of a log for which `Log.calibrates` holds."""
+    """Calibration from a log for which `Log.calibrates` holds."""
     if log.verdict(Fitted) is not None:
         return calibration_from_log(log, run)
     if (touched := log.verdict(Touched)) is not None:
@@ -144,7 +143,7 @@ def calibration_after(log: Log, run: str) -> Calibration:
 
 
 def _rebased(calibration: Calibration, found: Judgement, run: str) -> Calibration:
-    """Return the calibration with its base frames where the re-check found the base."""
+    """The calibration with base frames moved as the re-check measured."""
     stations = {
         name: msgspec.structs.replace(entry, T_W_B=(np.array(entry.T_W_B) @ found.base).tolist())
         for name, entry in calibration.stations.items()
@@ -162,7 +161,7 @@ def _rebased(calibration: Calibration, found: Judgement, run: str) -> Calibratio
 
 
 def _touched(calibration: Calibration, log: Log, run: str, name: str) -> Calibration:
-    """Return the calibration with the base of a station as touched on the run's visit."""
+    """The calibration with a station's base as touched on the run's visit."""
     frame, entry = log.frame(TouchedBase, f"touch.{name}"), calibration.stations[name]
     entry = msgspec.structs.replace(entry, T_W_B=frame.matrix)
     update = Update(run, "touch", written_now(), frame.poses)

@@ -1,12 +1,12 @@
-"""The errors of a robot as a run has measured them: the grid's vertices, free poses and curves.
+"""Errors of a robot as measured by a run: the grid's vertices, free poses and curves.
 
-Outlying vertices: a smooth field, of second order in x, y and z, is fitted to all, and each
-is judged by its studentized residual, divided by ``sqrt(1 - h)``, h its leverage, against the
-spread that the residuals show. A limit in mm would be knowledge about one robot.
+Outlying vertices: each is judged by its studentized residual, divided by ``sqrt(1 - h)``, h its
+leverage, from a smooth field of second order in x, y and z, against the spread of the residuals. A
+limit in mm would be knowledge about one robot.
 
-How alike the errors of two poses are (section 3.2, eq 8): similarity falls with the distance of
-joints; that of tool points replaces it only at one fixed orientation and configuration. One
-nearly equal pair rules a mean of similarities, so means are taken of the differences.
+Similarity of errors (section 3.2, eq 8) falls with the distance of joints; that of tool points
+replaces it only at one fixed orientation and configuration. One nearly equal pair dominates a mean
+of similarities, so differences are averaged.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ ORIENTED = "oriented"  # kind of a grid's vertex in another orientation than the
 
 
 def grid_of(cell: Cell) -> Grid:
-    """Return the cell's grid in {B}; a quick plan's is as coarse as it can be."""
+    """The cell's grid in {B}; a quick plan's is as coarse as possible."""
     size_mm, pitch_mm = np.array(cell.grid.size_mm), cell.grid.pitch_mm
     if cell.plan.quick:
         pitch_mm = coarsest_pitch_mm(cell.grid.cells, pitch_mm)
@@ -43,12 +43,12 @@ def grid_of(cell: Cell) -> Grid:
 
 
 def grid_errors_mm(log: Log) -> Array:
-    """Return the errors e = actual - nominal at the vertices, (nx, ny, nz, 3), in {B}."""
+    """Errors e = actual - nominal at the vertices, (nx, ny, nz, 3), in {B}."""
     return measured_grid(log).errors_mm
 
 
 def measured_grid(log: Log) -> MeasuredGrid:
-    """Return the grid's errors in {B} with the covariance of each vertex's averaged reading."""
+    """Grid errors in {B} with the covariance of each vertex's averaged reading."""
     points, grid = log.select("grid"), grid_of(log.cell)
     i, j, k = np.array([point.id.vertex for point in points], dtype=int).reshape(-1, 3).T
     errors_mm: Array = np.full((*grid.shape, 3), np.nan)
@@ -59,7 +59,7 @@ def measured_grid(log: Log) -> MeasuredGrid:
 
 
 def _static(log: Log, points: list[Point]) -> tuple[Array, Array, Array]:
-    """Return nominal and actual positions (N, 3) in {B}, and the readings' covariances."""
+    """Nominal and actual positions (N, 3) in {B}, and the readings' covariances."""
     T_B_W = inverse(log.matrix("base"))
     T_B_L = T_B_W @ log.matrix("world")
     nominal_mm: Array = np.array([p.nominal_mm for p in points], dtype=float).reshape(-1, 3)
@@ -68,7 +68,7 @@ def _static(log: Log, points: list[Point]) -> tuple[Array, Array, Array]:
 
 
 def measured_errors(log: Log) -> Measured:
-    """Return everything that the models learn from: poses as commanded, grid and free ones."""
+    """Input of the models: poses as commanded, grid and free ones."""
     points = [*log.select("grid"), *log.select(ORIENTED), *log.select("pose")]
     robot, joints_rad = log.cell.robot.nominal(), commanded_rad(points)
     nominal_mm, actual_mm, covariance_mm2 = _static(log, points)
@@ -91,19 +91,18 @@ def measured_errors(log: Log) -> Measured:
 
 
 def vertex_ids(grid: Grid) -> list[PointId]:
-    """Return the identities of the vertices' points in the order of visit."""
     return [PointId("grid", vertex=(int(i), int(j), int(k))) for i, j, k in grid.serpentine()]
 
 
 def outlying_vertices(log: Log) -> list[PointId]:
-    """Return the outlying vertices, by more than a reading's deviation may be."""
+    """Outlying vertices, beyond the allowed deviation of a reading."""
     cell = log.cell
     found = outlying(grid_errors_mm(log), least_mm=cell.tracker.max_std_mm)
     return [id for id in vertex_ids(grid_of(cell)) if found[id.vertex]]
 
 
 def grid_pairs(log: Log) -> Pairs:
-    """Return all pairs of measured vertices: joint and Cartesian distance, error difference."""
+    """All pairs of measured vertices: joint and Cartesian distance, error difference."""
     points = log.select("grid")
     i, j, k = np.array([point.id.vertex for point in points]).T
     nominal_mm: Array = np.array([point.nominal_mm for point in points], dtype=float)
@@ -111,11 +110,11 @@ def grid_pairs(log: Log) -> Pairs:
 
 
 def outlying(errors_mm: ArrayLike, *, least_mm: float) -> Bools:
-    """Return which (nx, ny, nz) of errors (nx, ny, nz, 3) are outliers by more than ``least_mm``.
+    """Which (nx, ny, nz) of errors (nx, ny, nz, 3) are outliers by more than ``least_mm``.
 
-    The limit is the quantile that a sound grid exceeds once in a hundred, of the distance of three
-    normal coordinates, at the spread that the median shows. The worst is taken out and the rest
-    judged again, so that it neither hides nor accuses its neighbours.
+    The limit is the quantile exceeded once in a hundred sound grids, of the distance of three
+    normal coordinates, at the spread shown by the median. The worst is removed and the rest judged
+    again, so that it affects no neighbours.
     """
     false_alarms = 0.01  # expected of a whole grid whose residuals are normal
     errors = np.asarray(errors_mm, dtype=float)
@@ -135,13 +134,13 @@ def outlying(errors_mm: ArrayLike, *, least_mm: float) -> Bools:
 
 
 def _quantile(share: float) -> float:
-    """Return the quantile of the distance of three standard normals (Wilson and Hilferty)."""
+    """Quantile of the distance of three standard normals (Wilson and Hilferty)."""
     cube = 1.0 - 2.0 / 27.0 + NormalDist().inv_cdf(share) * (2.0 / 27.0) ** 0.5
     return float((3.0 * cube**3) ** 0.5)
 
 
 def _terms(shape: tuple[int, ...]) -> Array:
-    """Return the terms (N, M) up to second order; a power is used where the axis has vertices."""
+    """Terms (N, M) up to second order; a power only where the axis has enough vertices."""
     places = [np.linspace(-1.0, 1.0, count) for count in shape]
     axes = [each.ravel() for each in np.meshgrid(*places, indexing="ij")]
     columns = [np.ones(len(axes[0])), *axes]
@@ -153,10 +152,10 @@ def _terms(shape: tuple[int, ...]) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Pairs:
-    """Every two of a set of poses: distances of joints and of tool points, difference of errors.
+    """All pairs of a set of poses: distances of joints and of tool points, difference of errors.
 
-    Each (P,); ``joint_rad`` is the norm of the six joints' differences, ``cartesian_mm`` the
-    distance of nominal tool points, ``difference_mm`` the norm of the difference of errors.
+    Each (P,); ``joint_rad``: norm of the six joints' differences; ``cartesian_mm``: distance of
+    nominal tool points; ``difference_mm``: norm of the difference of errors.
     """
 
     joint_rad: Array
@@ -165,15 +164,15 @@ class Pairs:
 
     @classmethod
     def of(cls, joints_rad: Array, points_mm: Array, errors_mm: Array) -> Self:
-        """Return all N (N - 1) / 2 pairs of poses: joints (N, 6), points and errors (N, 3)."""
+        """All N (N - 1) / 2 pairs of poses: joints (N, 6), points and errors (N, 3)."""
         one, other = np.triu_indices(len(joints_rad), 1)
         sets = (joints_rad, points_mm, errors_mm)
         return cls(*(np.linalg.norm(each[one] - each[other], axis=1) for each in sets))
 
 
 def binned(distance: Array, difference_mm: Array, edges: Array) -> tuple[Array, Array, Ints]:
-    """Return middles, mean differences and counts (K,) over rising ``edges`` (K + 1,) of a distance
-    (P,); a bin holds its lower edge, the last one its upper edge too, an empty one's mean is NaN.
+    """Middles, mean differences and counts (K,) over rising ``edges`` (K + 1,) of a distance (P,).
+    A bin includes its lower edge, the last one its upper edge too; an empty one's mean is NaN.
     """
     count, _ = np.histogram(distance, edges)
     total, _ = np.histogram(distance, edges, weights=difference_mm)

@@ -1,8 +1,8 @@
-"""Influences that move a corrected target from its place: each is a line of its budget (GUM).
+"""Influences that move a corrected target: each is a line of its budget (GUM).
 
-An influence is a small random motion of a frame: a shift, a rotation about an origin and a growth
-from it, with one covariance. So a single form holds for scatter that is the same everywhere, for
-frames whose rotation counts by its lever, for an arm that grows and for a beam that turns.
+An influence is a small random motion of a frame (shift, rotation about an origin, growth from it)
+with one covariance: one form for constant scatter, frames whose rotation acts by its lever, a
+growing arm, a beam that turns.
 """
 
 from __future__ import annotations
@@ -28,15 +28,14 @@ Counts = Literal["always", "in use", "in validation"]
 
 
 class Influence(msgspec.Struct, frozen=True):
-    """One line: its name, source, how it was found and the clause of the GUM.
+    """One line: name, source, method of evaluation and clause of the GUM.
 
-    ``covariance`` (7, 7) is that of shift (3,) in mm, rotation vector (3,) in rad and growth
-    (ratio of lengths) about ``origin_mm``, with the axes of ``frame``: {W}, {B} of the station, or
-    {T} of the target. ``freedom`` are the degrees of freedom of its estimate, None where it is
-    taken as known. It may count for targets in use or in the run's validation alone. A
-    line that is ``alone`` differs from visit to visit; the others move all targets together.
-    ``within_model``: the error model's covariance has it in, because the model was learnt from
-    single visits; only what exceeds it is then the model's.
+    ``covariance`` (7, 7): shift (3,) in mm, rotation vector (3,) in rad and growth (ratio of
+    lengths) about ``origin_mm``, axes of ``frame``: {W}, {B} of the station, or {T} of the target.
+    ``freedom``: degrees of freedom of its estimate, None where it is known. It may count in use
+    only, or in the run's validation only. An ``alone`` line differs from visit to visit; the others
+    move all targets together. ``within_model``: contained in the error model's covariance, because
+    the model was learnt from single visits; only the excess over it is the model's.
     """
 
     name: str
@@ -52,7 +51,7 @@ class Influence(msgspec.Struct, frozen=True):
     within_model: bool = False
 
     def at(self, frames: Array, targets_mm: Array) -> Array:
-        """Return the covariances (N, 3, 3) in {W} at targets (N, 3); ``frames`` are its own."""
+        """Covariances (N, 3, 3) in {W} at targets (N, 3); ``frames`` are its own."""
         covariance = np.array(self.covariance)
         if frames.ndim == 2 and not covariance[3:].any():  # a shift, the same everywhere
             turned = frames[:3, :3] @ covariance[:3, :3] @ frames[:3, :3].T
@@ -64,7 +63,7 @@ class Influence(msgspec.Struct, frozen=True):
         return np.asarray(J @ covariance @ np.swapaxes(J, -1, -2))
 
     def about(self, own: Array, T: Array) -> Array:
-        """Return the covariance (7, 7) about the origin of ``T``; ``own`` is its frame in {W}."""
+        """Covariance (7, 7) about the origin of ``T``; ``own`` is its frame in {W}."""
         R = T[:3, :3].T @ own[:3, :3]
         origin_mm = apply(inverse(T) @ own, np.array([self.origin_mm]))[0]
         M = np.eye(SIZE)
@@ -77,7 +76,7 @@ class Influence(msgspec.Struct, frozen=True):
 def motion(
     shift_mm2: Array | float = 0.0, turn_rad2: Array | float = 0.0, growth: float = 0.0
 ) -> list[list[float]]:
-    """Return the covariance (7, 7) of independent parts: (3, 3) or the same for each axis."""
+    """Covariance (7, 7) of independent parts: (3, 3), or equal for each axis."""
     covariance = np.zeros((SIZE, SIZE))
     covariance[:3, :3] = shift_mm2 * np.eye(3) if np.ndim(shift_mm2) == 0 else shift_mm2
     covariance[3:6, 3:6] = turn_rad2 * np.eye(3) if np.ndim(turn_rad2) == 0 else turn_rad2
@@ -86,7 +85,7 @@ def motion(
 
 
 def moved_frame(covariance: Array) -> list[list[float]]:
-    """Return the covariance (7, 7) of a frame's (6, 6)."""
+    """Covariance (7, 7) of a frame's (6, 6)."""
     whole = np.zeros((SIZE, SIZE))
     whole[:6, :6] = covariance
     return whole.tolist()
@@ -103,12 +102,11 @@ class NoBound(HilcellError):
 
 
 class Uncertainty(msgspec.Struct, frozen=True):
-    """The budget as a calibration file keeps it: lines for all stations and for each.
+    """Budget as stored in a calibration file: lines for all stations and for each.
 
-    ``growth_per_k`` is the arm's, whose temperature is known only where targets are corrected;
-    ``air_range_k`` is taken where no weather station measured. The model's residual rests on
-    ``model_samples`` poses that differ. ``missing`` is why no bound can be stated; then
-    there are no lines.
+    ``growth_per_k``: of the arm, whose temperature is known only in use; ``air_range_k``: used
+    without a weather station; ``model_samples``: number of different poses of the model's residual;
+    ``missing``: why no bound can be stated; there are no lines then.
     """
 
     lines: list[Influence] = []
@@ -132,24 +130,24 @@ class Part:
 
     @property
     def u_mm(self) -> float:
-        """Return the standard uncertainty of one coordinate, root mean square of all targets."""
+        """Standard uncertainty of one coordinate, root mean square of all targets."""
         return math.sqrt(float(np.trace(self.covariance_mm2, axis1=1, axis2=2).mean()) / 3)
 
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """The contributions to N targets, independent of each other, and their 95 % bounds."""
+    """Independent contributions to N targets, and their 95 % bounds."""
 
     parts: Sequence[Part]
 
     @property
     def covariance_mm2(self) -> Array:
-        """Return the combined covariances (N, 3, 3) in {W} (GUM 5.1.2)."""
+        """Combined covariances (N, 3, 3) in {W} (GUM 5.1.2)."""
         return np.asarray(np.sum([part.covariance_mm2 for part in self.parts], axis=0))
 
     @property
     def radii_mm(self) -> Array:
-        """Return the lengths (N,) that 95 % of 3D errors keep."""
+        """95 % bounds (N,) of 3D errors."""
         traces = [np.trace(part.covariance_mm2, axis1=1, axis2=2) for part in self.parts]
         freedom = effective_freedom(traces, [part.freedom for part in self.parts])
         return bounds95_mm(self.covariance_mm2, freedom)
@@ -162,10 +160,10 @@ def combined_bounds(
     poses: Array,
     model_samples: int | None = None,
 ) -> Bounds:
-    """Return the bounds of targets at poses (N, 4, 4) in {W}.
+    """Bounds of targets at poses (N, 4, 4) in {W}.
 
-    ``model_mm2`` (N, 3, 3) is the error model's covariance in {B}, which is at ``T_W_B``;
-    its residual was estimated from ``model_samples`` poses that differ, None: it is known.
+    ``model_mm2`` (N, 3, 3): the error model's covariance in {B}, which is at ``T_W_B``; its
+    residual was estimated from ``model_samples`` different poses, None: known.
     """
     R = T_W_B[:3, :3]
     frames = {"world": np.eye(4), "base": T_W_B, "tool": poses}
@@ -192,6 +190,6 @@ def combined_bounds(
 
 
 def no_less_than_nought(covariances: Array) -> Array:
-    """Return the nearest covariances (..., 3, 3) without negative variances."""
+    """Nearest covariances (..., 3, 3) without negative variances."""
     values, axes = np.linalg.eigh(covariances)
     return np.asarray((axes * np.maximum(values, 0.0)[..., None, :]) @ np.swapaxes(axes, -1, -2))

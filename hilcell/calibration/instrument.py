@@ -1,15 +1,13 @@
 """Checks of the instrument: its scale, its axes, and its reflectors.
 
-A wrong scale (a weather station that lies), reflector or unit makes every point wrong, and all that
-is measured agrees with itself.
+A wrong scale (weather station), reflector or unit falsifies every point consistently.
 
-Readings in both faces differ by twice what the axes are off, whatever else is wrong. At a place of
-range r and height z above the tracker, half of it is ``c r + i z`` sideways and ``v r`` downwards:
-collimation c, the transit axis' tilt i, the index v of the vertical circle. A tilt of 50 urad moves
-what lies a metre lower by 0.05 mm against what lies level.
+Readings in both faces differ by twice the axes' errors. At range r and height z above the tracker,
+half of it is ``c r + i z`` sideways and ``v r`` downwards: collimation c, the transit axis' tilt i,
+the index v of the vertical circle. A tilt of 50 urad moves a point a metre lower by 0.05 mm.
 
-In one nest all centres are at one place, as far as balls are round and centred: a reflector of
-another radius, or a longer prism, is measured elsewhere, along the beam mostly.
+In one nest all centres coincide, within roundness and centring: a reflector of another radius, or a
+longer prism, is off mostly along the beam.
 """
 
 from __future__ import annotations
@@ -56,7 +54,7 @@ def known_lengths(cell: Cell, log: Log) -> list[MeasuredLength]:
 
 
 def _found(cell: Cell, log: Log, known: KnownLength) -> MeasuredLength:
-    """Return a length with the uncertainty that certificate, tracker and centring leave."""
+    """A length with the uncertainty of certificate, tracker and centring."""
     of_floor = {each.name for each in cell.layout.floor}
     ends = [  # on the floor or on a bar, of the first framing of {W}
         log.point(PointId("world" if nest in of_floor else LENGTH, nest=nest))
@@ -81,7 +79,7 @@ def _found(cell: Cell, log: Log, known: KnownLength) -> MeasuredLength:
 
 
 def scale(log: Log) -> Suspicion | None:
-    """Return a tracker's scale that a certified length has shown to be wrong."""
+    """A wrong scale of the tracker, shown by a certified length."""
     checked = log.verdict(LengthsChecked)
     wrong = [] if checked is None else [each for each in checked.lengths if not each.holds]
     if not wrong:
@@ -97,7 +95,7 @@ AXES = ("urad of collimation", "urad of the transit axis' tilt", "urad of the ve
 
 
 class BothFaces(msgspec.Struct, frozen=True):
-    """Both faces at each nest, and the axis that explains them best, in urad."""
+    """Both faces at each nest, and the axis error that explains them best, urad."""
 
     nests: list[Faces]
     size_urad: float
@@ -125,7 +123,7 @@ class BothFaces(msgspec.Struct, frozen=True):
 
 
 def two_faces(log: Log, number: int) -> BothFaces | None:
-    """Return what both faces have shown at the start (0) or the end (1); None without readings."""
+    """Two-face check at the start (0) or the end (1); None without readings."""
     backs = [point for point in log.measured(BACK) if point.id.number == number]
     both = [(front, back) for back in backs if (front := _front(log, back)) is not None]
     if not both:
@@ -147,7 +145,7 @@ def two_faces(log: Log, number: int) -> BothFaces | None:
 def judged_faces(
     names: Sequence[str], front_mm: Array, back_mm: Array, limits_mm: Array
 ) -> BothFaces:
-    """Return what readings (N, 3) in both faces show, in the tracker's own frame."""
+    """Judge readings (N, 3) in both faces, in the tracker's own frame."""
     x, y, z = front_mm.T
     flat_mm, range_mm = np.hypot(x, y), np.linalg.norm(front_mm, axis=1)
     nought = np.zeros(len(x))
@@ -169,14 +167,14 @@ def judged_faces(
 
 
 def axis_off(log: Log) -> Suspicion | None:
-    """Return the first axis of the tracker that both faces showed to be off."""
+    """The first axis of the tracker that both faces showed to be off."""
     judged = (two_faces(log, n) for n, key in enumerate(TWO_FACES) if key in log.verdicts)
     suspicions = (each.suspicion for each in judged if each is not None)
     return next((each for each in suspicions if each is not None), None)
 
 
 def _front(log: Log, back: Point) -> Point | None:
-    """Return the newest reading of a nest in the first face before the one in the second."""
+    """The newest reading of a nest in the first face before the one in the second."""
     fronts = (*PROOFS, "length")  # kinds of points
     points = (p for kind in fronts for p in log.measured(kind) if p.id.nest == back.id.nest)
     seen = log.recorded(back)
@@ -185,7 +183,7 @@ def _front(log: Log, back: Point) -> Point | None:
 
 
 def _own_mm(log: Log, points: Sequence[Point]) -> Array:
-    """Return places (N, 3) as the tracker measured them from its own set-up."""
+    """Positions (N, 3) as measured from the tracker's own set-up."""
     first = log.matrix("world")
     own = [inverse(log.matrix(world_key(point.set_up))) @ first for point in points]
     rows = zip(own, positions_mm(points), strict=True)
@@ -196,7 +194,7 @@ def _own_mm(log: Log, points: Sequence[Point]) -> Array:
 
 
 def compared_reflectors(log: Log) -> list[MeasuredReflector]:
-    """Return each reflector against the others; nothing where too few were measured."""
+    """Each reflector against the others; empty where too few were measured."""
     points = list(log.measured(REFLECTOR))
     fewest_reflectors = 3  # of two, either may be off
     if len(points) < fewest_reflectors:
@@ -211,7 +209,7 @@ def compared_reflectors(log: Log) -> list[MeasuredReflector]:
 
 
 def compared_positions(names: list[str], at_mm: Array, limits_mm: Array) -> list[MeasuredReflector]:
-    """Return places (N, 3), tracker's frame, each against the median of all others."""
+    """Each position (N, 3), tracker's frame, against the median of all others."""
     found = []
     for row, (name, limit_mm) in enumerate(zip(names, limits_mm.tolist(), strict=True)):
         others_mm = np.median(np.delete(at_mm, row, axis=0), axis=0)

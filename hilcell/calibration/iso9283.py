@@ -1,14 +1,10 @@
-"""The pose test of ISO 9283:1998: its poses, characteristics, uncertainties and conditions.
+"""Pose test of ISO 9283:1998: poses, characteristics, uncertainties and conditions.
 
-Positions (n, 3) in mm, axes of the base; each attained n times. Each U (k = 2) has the scatter of n
-attainments (GUM 4.2.3), that of AP and AD what all attainments share as well.
-
-AP compares with the commanded pose in {B}. Where {B} was measured in the run, its uncertainty is
-AP's too; where a calibration gave it, that of {W} is, by which the tracker finds it again. RP, AD
-and RD need no frame.
-
-With several reflectors on the flange the orientation is measured as well. RP of its angles needs no
-more; AP needs to know where the reflectors are on the flange, and only a calibration does.
+Positions (n, 3) in mm, axes of the base; each attained n times. Each U (k = 2) includes the scatter
+of n attainments (GUM 4.2.3), that of AP and AD the common errors as well. AP is relative to the
+commanded pose in {B}: it includes the uncertainty of {B} where the run measured {B}, else that of
+{W}. RP, AD and RD need no frame. RP of angles needs several reflectors; AP of angles also their
+positions on the flange, from a calibration.
 """
 
 from __future__ import annotations
@@ -57,7 +53,7 @@ ANGLES = ("a", "b", "c")  # rotations about x, y, z of the base
 
 
 class Worst(NamedTuple):
-    """A characteristic where it is worst: its value without a sign, U, and the limit if stated."""
+    """A characteristic at its worst: absolute value, U, and the limit if stated."""
 
     of: Characteristic
     symbol: str
@@ -68,7 +64,7 @@ class Worst(NamedTuple):
 
     @property
     def outcome(self) -> Outcome | None:
-        """Return the decision, by the rule that judges all results; None without a limit."""
+        """Decision by the rule of all results; None without a limit."""
         return None if self.limit is None else outcome_of(self.value, self.limit, self.U)
 
 
@@ -101,7 +97,7 @@ class Pose(msgspec.Struct, frozen=True):
 
 
 class Distance(msgspec.Struct, frozen=True):
-    """AD and RD of one distance; AD_x, AD_y, AD_z are those of the distances along each axis."""
+    """AD and RD of one distance; AD_x, AD_y, AD_z: of the distances along each axis."""
 
     start: str = msgspec.field(name="from")
     to: str
@@ -127,7 +123,7 @@ class WorstPoses(msgspec.Struct, frozen=True):
 
 
 class Angles(msgspec.Struct, frozen=True, omit_defaults=True):
-    """AP and RP of the angles a, b, c of one pose; AP where the reflectors' places are known."""
+    """AP and RP of the angles a, b, c of one pose; AP where the reflectors' positions are known."""
 
     count: int
     rp_deg: dict[str, float]
@@ -136,14 +132,14 @@ class Angles(msgspec.Struct, frozen=True, omit_defaults=True):
     ap_u95_deg: dict[str, float] = {}
 
     def of(self, characteristic: Characteristic) -> tuple[dict[str, float], dict[str, float]]:
-        """Return values and U by angle, as far as they were measured."""
+        """Values and U by angle, as far as measured."""
         if characteristic is AP_ANGLES:
             return self.ap_deg, self.ap_u95_deg
         return self.rp_deg, self.rp_u95_deg
 
 
 class PoseTest(msgspec.Struct, frozen=True, kw_only=True):
-    """The test's conditions (clause 6), as far as known, and what it has measured, by pose."""
+    """Known conditions of the test (clause 6), and its results by pose."""
 
     cycles: int
     velocity_percent: float
@@ -177,7 +173,7 @@ class PoseTest(msgspec.Struct, frozen=True, kw_only=True):
         return [Worst(*each, self.limits.get(each[0].limit)) for each in characteristics]
 
     def keeps(self, pose: str) -> bool:
-        """Whether AP and RP of a pose keep the limits that are stated; unknown ones do not."""
+        """Whether AP and RP of a pose are within the stated limits; unknown ones are not."""
         at, angles = self.poses[pose], self.orientation.get(pose)
         figures = {AP: [(at.ap_mm, at.ap_u95_mm)], RP: [(at.rp_mm, at.rp_u95_mm)]}
         for of in (AP_ANGLES, RP_ANGLES):
@@ -190,7 +186,7 @@ class PoseTest(msgspec.Struct, frozen=True, kw_only=True):
         )
 
     def judgement(self) -> PoseTested | None:
-        """Return the verdict on the cell's limits; unmeasured ones do not hold."""
+        """Verdict on the cell's limits; unmeasured characteristics fail."""
         if not self.limits:
             return None
         measured = {each.of: each for each in self.figures()}
@@ -211,7 +207,7 @@ class PoseTest(msgspec.Struct, frozen=True, kw_only=True):
 def worst_angle(
     orientation: Mapping[str, Angles], of: Characteristic
 ) -> tuple[str, str, float, float] | None:
-    """Return symbol, pose, value and U (deg) where both together are most, if it was measured."""
+    """Symbol, pose, value and U (deg) where value + U is largest, if measured."""
     angles = [
         (f"{of.key.upper()}_{angle}", pose, abs(value), u95_deg[angle])
         for pose, (values, u95_deg) in ((pose, each.of(of)) for pose, each in orientation.items())
@@ -233,13 +229,13 @@ ENDS = ("P2", "P4")  # of the distance: on one diagonal
 
 
 def largest_cube(cell: Cell) -> Cube:
-    """Return the largest cube in the grid's volume, edges parallel to the base (6.8.2)."""
+    """Largest cube in the grid's volume, edges parallel to the base (6.8.2)."""
     centre_mm = cell.grid.centre.matrix()[:3, 3].tolist()
     return Cube(min(cell.grid.size_mm), centre_mm, "-".join(PLANE))
 
 
 def commanded_mm(cell: Cell) -> dict[str, Array]:
-    """Return P1, the cube's centre, and P2 to P5 on diagonals of the plane, (3,) in {B} (6.8.5)."""
+    """P1, the cube's centre, and P2 to P5 on diagonals of the plane, (3,) in {B} (6.8.5)."""
     cube = largest_cube(cell)
     share_of_diagonal = 0.1  # that test poses keep off the cube's corners: (10 +- 2) % (6.8.5)
     reach_mm = (1.0 - 2.0 * share_of_diagonal) * cube.side_mm / 2.0
@@ -261,11 +257,11 @@ def velocity_percent(cell: Cell) -> float:
 def pose_characteristics(
     at: Errors, commanded_mm: Array, shared_mm2: Array, noise_mm2: float
 ) -> Pose:
-    """Return AP and RP of positions attained at one commanded position (7.2.1, 7.2.2).
+    """AP and RP of positions attained at one commanded position (7.2.1, 7.2.2).
 
-    All attainments share the covariance ``shared_mm2`` (3, 3). ``noise_mm2`` is the measurement's,
-    the trace of its covariance: mean squares subtract, distances keep the shape of their
-    distribution. U of RP_l = mean + 3 S is that of the scatter of both, taken as independent.
+    All attainments share the covariance ``shared_mm2`` (3, 3). ``noise_mm2``: the trace of the
+    measurement's covariance: mean squares subtract, distances keep the shape of their distribution.
+    U of RP_l = mean + 3 S is the scatter of both, taken as independent.
     """
     attained_mm = at.nominal_mm + at.error_mm
     count, scatter_mm2 = len(attained_mm), np.cov(attained_mm.T)
@@ -294,7 +290,7 @@ def pose_characteristics(
 
 
 def distance_characteristics(ends: tuple[Errors, Errors], shared_mm: float) -> Distance:
-    """Return AD and RD = +-3 S (7.3.2, 7.3.3); ``shared_mm`` is u besides the scatter."""
+    """AD and RD = +-3 S (7.3.2, 7.3.3); ``shared_mm``: u besides the scatter."""
     one, other = ends
     ways_mm = (one.nominal_mm + one.error_mm) - (other.nominal_mm + other.error_mm)
     commanded_mm = one.nominal_mm[0] - other.nominal_mm[0]
@@ -316,10 +312,10 @@ def distance_characteristics(ends: tuple[Errors, Errors], shared_mm: float) -> D
 
 
 def angle_characteristics(turns_rad: Array, shared_rad2: Array | None) -> Angles:
-    """Return AP (7.2.1) and RP = +-3 S (7.2.2) of rotation vectors (n, 3), axes of the base.
+    """AP (7.2.1) and RP = +-3 S (7.2.2) of rotation vectors (n, 3), axes of the base.
 
-    Of errors as small as a robot's the angles are the vector's coordinates. ``shared_rad2`` (3, 3)
-    is the covariance that all attainments share; without it AP is not known.
+    The angles of a robot's small errors are the vector's coordinates. ``shared_rad2`` (3, 3):
+    common covariance of all attainments; None: AP is unknown.
     """
     s_rad, count = turns_rad.std(axis=0, ddof=1), len(turns_rad)
     rp_rad = 3.0 * s_rad
@@ -339,7 +335,7 @@ def _by_angle(values_rad: Array, *, expanded: bool = False) -> dict[str, float]:
 
 
 def attained(log: Log) -> dict[str, Errors]:
-    """Return what was attained at each pose, in {B} and in order of the cycles, so far."""
+    """Attained positions of each pose so far, in {B}, in order of the cycles."""
     T_B_W = inverse(log.matrix("base"))
     errors = {
         name: position_errors(log, points)
@@ -363,7 +359,7 @@ class _Evaluation:
         return visits
 
     def shared_mm2(self, at_mm: Array, *, corrected: bool) -> Array:
-        """Return the covariance (3, 3) in {B}, at ``at_mm`` (3,), that all attainments share."""
+        """Common covariance (3, 3) of all attainments in {B}, at ``at_mm`` (3,)."""
         covariance: Array = self.system_mm(framed=corrected) ** 2 * np.eye(3)
         if not corrected:
             T = self.log.matrix("base")
@@ -373,7 +369,7 @@ class _Evaluation:
         return covariance
 
     def system_mm(self, *, framed: bool) -> float:
-        """Return u of one coordinate besides the readings' noise; that of {W} if ``framed``."""
+        """U of one coordinate besides the readings' noise; with {W} if ``framed``."""
         budget = measurement_budget(self.log)
         without = (NOISE,) if framed else (NOISE, WORLD)
         lines = (
@@ -382,10 +378,10 @@ class _Evaluation:
         return combined_mm(lines)
 
     def orientation(self) -> dict[str, Angles]:
-        """Return AP and RP of the angles by pose, axes of {B}; nothing with one reflector.
+        """AP and RP of the angles by pose, axes of {B}; empty with one reflector.
 
-        AP where the calibration that is tested says where the reflectors are on the flange:
-        elsewhere than stated they turn every attainment alike, which cancels in RP.
+        AP only with a calibration that states the reflectors' positions on the flange: an error of
+        these rotates every attainment alike, and cancels in RP.
         """
         if not self.log.cell.robot.more_smr_mm:
             return {}
@@ -480,7 +476,7 @@ def _deviations(cell: Cell, *, corrected: bool, orientation: Mapping[str, Angles
 
 
 def interruptions(log: Log) -> Iterator[str]:
-    """Yield in what the cycles were no steady course: stops and pauses between two visits."""
+    """Yield interruptions of the cycles: stops and pauses between two visits."""
 
     def times(count: int) -> str:
         return "once" if count == 1 else f"{count} times"

@@ -1,11 +1,9 @@
 """The calibration that a procedure uses: lookup, checks before any motion, its journal.
 
-The file is named in the cell's table of the procedure, and its content journalled when the run
-begins: the result is computed from the journal alone, also after the file was deleted.
-
-Points of such a run are in the calibration's {B}, with the noise of that visit: that of the
-calibration's budget, lines that differ from point to point, and frames, which move all points of
-the run together.
+The cell's table of the procedure names the file; its content is journalled when the run begins, so
+that the result depends on the journal alone. Points of such a run are in the calibration's {B},
+with the noise of that visit: budget lines that differ from point to point, and frames, which move
+all points of the run together.
 """
 
 from __future__ import annotations
@@ -44,16 +42,15 @@ from hilcell.ports import Array, HilcellError
 
 
 class NoCalibration(HilcellError):
-    """No calibration was found, or the one named is none."""
+    """No calibration exists, or the named one is invalid."""
 
     code = "HC-C25"
 
 
 @dataclass(frozen=True)
 class CalibrationFile:
-    """A calibration as read from its file, and its status by the journal of the run that wrote it.
-
-    The run of a file that lies alone is looked for in ``runs``.
+    """A calibration file, and its status by the journal of the run that wrote it. The run of a
+    separate file is searched in ``runs``.
     """
 
     calibration: Calibration
@@ -75,7 +72,7 @@ class CalibrationFile:
 
     @cached_property
     def folder(self) -> Path | None:
-        """The folder of the run that wrote it, if it is there; a copied folder is no other run."""
+        """Folder of the run that wrote it, if present; a copied folder is the same run."""
         here = self.path.resolve().parent
         runs = here.parent if is_run(here) else self.runs
         wrote = runs / self.calibration.provenance.latest
@@ -84,9 +81,8 @@ class CalibrationFile:
 
     @cached_property
     def status(self) -> CalibrationStatus | None:
-        """Its status; None where its run is not there.
-
-        A run in a copy of ``runs`` may have been revoked since in ``runs``.
+        """Its status; None where its run is missing. A run in a copy of ``runs`` may have been
+        revoked since in ``runs``.
         """
         folder = self.folder
         if folder is None:
@@ -129,7 +125,7 @@ class CalibrationFile:
 
 
 class Chosen(NamedTuple):
-    """A cell whose table names a usable file, why not to use it where accepted, and which it is."""
+    """A cell whose table names a usable file, accepted reasons against it, and the file."""
 
     cell: Cell
     accepted: list[str]
@@ -145,7 +141,7 @@ def with_calibration(
     accept_out_of_tolerance: bool = False,
     accept_not_current: bool = False,
 ) -> Chosen:
-    """Return the cell with the path of a usable calibration file in ``table``, if it has that.
+    """The cell with the path of a usable calibration file in ``table``, if it has that.
 
     The table names a run or a file; "" is the current calibration of this cell, and of the
     simulated ``machine``, in ``runs``. Raises `NoCalibration`, `CalibrationRefused`,
@@ -189,7 +185,7 @@ def calibration_named(cell: Cell, table: str) -> Calibration:
 
 
 def calibrated_machine(cell: Cell, table: str) -> int | None:
-    """Return the simulated machine's seed of the calibration in ``table``, if it is a run's."""
+    """Seed of the simulated machine of the calibration in ``table``, if it is a run's."""
     chosen = getattr(cell, table)
     if chosen is None or cell.simulation is None or cell.simulation.address:
         return None
@@ -200,22 +196,21 @@ def calibrated_machine(cell: Cell, table: str) -> int | None:
 
 
 def record_of(calibration: Calibration, path: str) -> Json:
-    """Return the event's facts that keep the calibration."""
+    """Facts of the event that stores the calibration."""
     content = msgspec.to_builtins(calibration)
     return {"run": calibration.provenance.latest, "file": path, "content": content}
 
 
 def calibration_in(log: Log) -> Calibration | None:
-    """Return the calibration that a run uses, once it has begun to."""
+    """The calibration that a run uses, once it has begun to."""
     facts = (record.fact for record in reversed(log.events))
     used = next((fact for fact in facts if isinstance(fact, CalibrationUsed)), None)
     return None if used is None else typed(used.content, Calibration)
 
 
 def _current(runs: Path, cell: Cell, table: str, machine: int | None) -> Path:
-    """Return the current calibration; where there is none, the newest that is not known to be bad.
-
-    A touched base is of a visit that ends when the run that asks for one homes the slide.
+    """The current calibration, or the newest that is not known to be bad. A touched base is valid
+    for one visit, which ends when this run homes the slide.
     """
     gone, unproven, foreign, simulated = "", None, None, cell.simulation is not None
     rows = read_index(runs)
@@ -248,9 +243,8 @@ def _current(runs: Path, cell: Cell, table: str, machine: int | None) -> Path:
 
 
 def _made(path: Path, row: RunRow, status: CalibrationStatus, cell: Cell) -> Provenance | None:
-    """Return how a run's calibration was made; None where it has none that may be current.
-
-    A damaged file ends only what may need it: by the run's journal, or of any cell without that.
+    """Provenance of a run's calibration; None where it has none that may be current. A damaged file
+    raises only where it may be needed: by the run's journal, or of any cell without a journal.
     """
     if not path.is_file():
         return None
@@ -265,15 +259,13 @@ def _made(path: Path, row: RunRow, status: CalibrationStatus, cell: Cell) -> Pro
 
 
 def calibration_status(folder: Path) -> CalibrationStatus | None:
-    """Return the status of a run's calibration, None where it has none; `calibration_statuses`."""
     folder = folder.resolve()
     return calibration_statuses(folder.parent, read_index(folder.parent)).get(folder.name)
 
 
 def calibration_statuses(runs: Path, rows: Sequence[RunRow]) -> dict[str, CalibrationStatus]:
-    """Return statuses by journals and files: one before an unread later one is in doubt.
-
-    So is a calibration with which its run did not end.
+    """Statuses by journals and files; in doubt where a later one is unread. Also in doubt is a
+    calibration with which its run did not end.
     """
     readable = {row.name for row in rows if row.readable}
     by_run = statuses(rows)
@@ -291,7 +283,7 @@ def calibration_statuses(runs: Path, rows: Sequence[RunRow]) -> dict[str, Calibr
 
 
 def _later_unread(folder: Path, readable: Collection[str]) -> Iterator[str]:
-    """Yield the folders with a later calibration of the cell and no journal that can be read."""
+    """Yield folders with a later calibration of the cell and no readable journal."""
     made = None
     for name in os.listdir(folder.parent):  # noqa: PTH208 - of ten thousand runs a Path each is too slow
         path = folder.parent / name / CALIBRATION
@@ -340,10 +332,11 @@ def _foreign(used: CalibrationFile, cell: Cell) -> Iterator[str]:
 
 @dataclass(frozen=True, eq=False)
 class Visited:
-    """Nominal and measured positions (N, 3) in {B}; covariances (N, 3, 3) of visit and reading,
-    and (7, 7) of the frames: shift (mm), rotation vector (rad), growth about the origin of {B}.
+    """Nominal and measured positions (N, 3) in {B}, and covariances.
 
-    ``within_mm2`` (3, 3) is the part of a visit that the model's covariance has in it, too.
+    (N, 3, 3) of visit and reading, and (7, 7) of the frames: shift (mm), rotation vector (rad),
+    growth about the origin of {B}. ``within_mm2`` (3, 3): the part of a visit that the model's
+    covariance contains.
     """
 
     nominal_mm: Array
@@ -354,7 +347,7 @@ class Visited:
 
 
 def used(log: Log) -> Calibration:
-    """Return the calibration that the run uses; raises `NoCalibration` before it does."""
+    """The calibration that the run uses; raises `NoCalibration` before it does."""
     calibration = calibration_in(log)
     if calibration is None:
         raise NoCalibration("the run has used no calibration yet")
@@ -362,7 +355,7 @@ def used(log: Log) -> Calibration:
 
 
 def visited(log: Log, points: list[Point], station: str) -> Visited:
-    """Return the points, all measured at ``station``; raises `NoBound` without a budget."""
+    """The points, all measured at ``station``; raises `NoBound` without a budget."""
     calibration = used(log)
     T_W_B = calibration.base(station)
     T_B_L = inverse(T_W_B) @ log.matrix("world")
@@ -375,11 +368,10 @@ def visited(log: Log, points: list[Point], station: str) -> Visited:
 def _noise(
     log: Log, calibration: Calibration, station: str, T_W_B: Array
 ) -> tuple[Array, Array, Array]:
-    """Return the budget's covariances of one visit and of its part within the model, (3, 3), and of
-    the frames, (7, 7), all in {B}.
+    """Covariances in {B}: of one visit and of its part within the model, (3, 3); of frames, (7, 7).
 
     The tracker was set up for the calibration and again for this run, so that the lines of {W}
-    count twice. The drill is no part of it.
+    count twice. The drill is not included.
     """
     stated = calibration.budget
     air_c, then_c = log.temperatures_c(), calibration.validity.temperature_c

@@ -1,13 +1,10 @@
-"""Lost motion of the joints: as measured, and what it costs on a straight path to a hole.
+"""Lost motion of the joints: as measured, and its effect on a straight path to a hole.
 
-A calibration is measured with every axis coming from below, so that lost motion cancels. Of N
-vertices that were approached from above as well, the differences between both sides are the
-Jacobian's columns times what each axis loses when it reverses. Axes 1 to 3, whose levers are
-metres, are estimated; the others are noise here.
-
-On a straight path some axes reverse, and err by their lost motion. That of the large
-axes is as measured, the rest is an uncertainty. On three simulated machines the straight path took
-the tool .05 to .07 mm away in the mean; corrected, .014 to .031 mm were left.
+In a calibration every axis comes from below, so that lost motion cancels. Of N vertices approached
+from above as well, the differences are the Jacobian's columns times the lost motion of each axis at
+reversal. Axes 1 to 3, with levers of metres, are estimated; the others are noise. On a straight
+path reversed axes err by their lost motion: as measured for the large axes, an uncertainty for the
+rest.
 """
 
 from __future__ import annotations
@@ -38,7 +35,7 @@ COVERAGE = 2.0  # k
 
 
 def lost_motion(log: Log) -> LostMotion:
-    """Return what the axes lose, as measured; else nothing, within the data sheet's limit."""
+    """Lost motion of the axes, as measured; else 0, within the data sheet's limit."""
     verdict = log.once_measured(reversal)
     wrist = [WRIST_RAD] * (AXES - LARGE)
     if verdict is None:
@@ -51,7 +48,7 @@ def lost_motion(log: Log) -> LostMotion:
 
 
 def reversal(log: Log) -> LostMotionJudged | None:
-    """Return what the points from above show; nothing where there are none."""
+    """Verdict on the points approached from above; None without any."""
     above = log.select(REVERSAL)
     if not above:
         return None
@@ -77,7 +74,7 @@ def reversal(log: Log) -> LostMotionJudged | None:
 def judged(
     off_mm: list[float], lost_urad: list[float], U_urad: list[float], limit_urad: float
 ) -> LostMotionJudged:
-    """Return the verdict on distances (N) between both sides and on what axes 1 to 3 lose."""
+    """Verdict on distances (N) between both directions and on the lost motion of axes 1 to 3."""
     verdict = LostMotionJudged(
         holds=False,
         mean_mm=float(np.mean(off_mm)),
@@ -108,7 +105,7 @@ TAKE_UP_RAD = 3e-4  # an axis that turns down by less has taken up a part of its
 
 @dataclass(frozen=True, eq=False)
 class StraightPath:
-    """By how far N tips are off their place from below: (N, 3) in {W}; covariances (N, 3, 3)."""
+    """Offsets of N tips from their place approached from below: (N, 3) in {W}; covariances."""
 
     shift_mm: Array
     covariance_mm2: Array
@@ -124,7 +121,7 @@ class StraightPath:
 
 
 def straight_path(lost: LostMotion, arm: Arm, T_W_B: Array, straight_rad: Array) -> StraightPath:
-    """Return what straight paths by joints (N, K, 6) of an arm at ``T_W_B`` cost at their ends."""
+    """Effect of straight paths by joints (N, K, 6) of an arm at ``T_W_B``, at their ends."""
     end_rad = straight_rad[:, -1]
     fall_rad = straight_rad.max(axis=1) - end_rad
     turns_down = end_rad < straight_rad[:, -2]

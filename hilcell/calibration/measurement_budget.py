@@ -1,9 +1,8 @@
-"""The uncertainty budget of a measured position error, with measured and assumed contributions.
+"""Uncertainty budget of a measured position error (GUM, JCGM 100:2008).
 
-After the GUM (JCGM 100:2008) they are combined and expanded. Every figure is for **one coordinate**
-of a position, in mm, as the tracker states it. Where all three have the same u, 95 % of 3D errors
-keep 2.80 u, which is 1.40 U: the root of chi^2 of three degrees of freedom. A corrected target has
-more contributions, which depend on its place: `hilcell.calibration.budget`.
+Every figure is for **one coordinate** of a position, in mm. Where all three have the same u, 95 %
+of 3D errors are below 2.80 u = 1.40 U: the root of chi^2 of three degrees of freedom. The budget of
+a corrected target depends on its position: `hilcell.calibration.budget`.
 """
 
 from __future__ import annotations
@@ -43,27 +42,27 @@ class Contribution:
 
     @property
     def u_mm(self) -> float:
-        """Return the standard uncertainty of one coordinate (GUM 4.2, 4.3)."""
+        """Standard uncertainty of one coordinate (GUM 4.2, 4.3)."""
         return self.estimate_mm / (math.sqrt(3.0) if self.distribution == "rectangular" else 1.0)
 
 
 def combined_mm(contributions: Iterable[Contribution]) -> float:
-    """Return the combined standard uncertainty (GUM 5.1.2, eq 10): all sensitivities are 1."""
+    """Combined standard uncertainty (GUM 5.1.2, eq 10): all sensitivities are 1."""
     return math.sqrt(sum(each.u_mm**2 for each in contributions))
 
 
 def expanded_mm(u_mm: float, k: float = COVERAGE_FACTOR) -> float:
-    """Return the expanded uncertainty U = k u (GUM 6.2.1)."""
+    """Expanded uncertainty U = k u (GUM 6.2.1)."""
     return k * u_mm
 
 
 def thermal_limit_mm(length_mm: float, expansion_per_k: float, range_k: float) -> float:
-    """Return by how much half a temperature range lengthens ``length_mm`` (GUM 4.3.7)."""
+    """Elongation of ``length_mm`` by half a temperature range (GUM 4.3.7)."""
     return length_mm * expansion_per_k * range_k / 2
 
 
 def systematic_mm2(stated: UncertaintyTable, at_mm: Array) -> Array:
-    """Return the variances (N,) of one coordinate at (N, 3), tracker's frame, by its limits."""
+    """Variances (N,) of one coordinate at (N, 3), tracker's frame, by stated limits."""
     range_mm2 = np.square(at_mm).sum(axis=-1)
     return np.asarray(
         rectangular_variance(stated.tracker_limit_mm)
@@ -83,7 +82,6 @@ class Budget:
 
     @property
     def u_mm(self) -> float:
-        """Return u of one coordinate."""
         return combined_mm(self.lines)
 
     @property
@@ -91,7 +89,7 @@ class Budget:
         return expanded_mm(self.u_mm)
 
     def of_mean_of(self, count: int) -> float:
-        """Return U of the mean of ``count`` positions: only the readings' noise averages."""
+        """U of the mean of ``count`` positions: only the readings' noise averages."""
         lines = [
             replace(each, estimate_mm=each.estimate_mm / math.sqrt(count))
             if each.name == NOISE
@@ -103,7 +101,7 @@ class Budget:
 
 @of_measured
 def measurement_budget(log: Log) -> Budget | None:
-    """Return the budget, or nothing where the run has framed no world and measured no points."""
+    """The budget; None where the run has framed no world and measured no points."""
     if "world" not in log.frames or not log.points:
         return None
     stated = log.cell.uncertainty
@@ -131,7 +129,7 @@ class _Contributions:
         )
 
     def world(self) -> list[Contribution]:
-        """Return what {W} is uncertain by at the points, where the run measured its three nests."""
+        """Uncertainty of {W} at the points, where the run measured its three nests."""
         covariance = world_as_framed(self.log)
         if covariance is None:
             return []
@@ -175,8 +173,8 @@ class _Contributions:
 
 
 def control_moves(log: Log) -> list[tuple[Point, Array]]:
-    """Return each control point and its move (3,) since the first of nest and set-up, mm; none that
-    found the tracker moved, which is no drift.
+    """Each control point and its motion (3,) since the first of nest and set-up, mm. Without those
+    that detected a moved tracker, which is no drift.
     """
     firsts = {(point.set_up, point.id.nest): point for point in log.select("world")}
     again = [

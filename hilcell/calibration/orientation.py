@@ -1,11 +1,10 @@
-"""Errors of the tool's orientation at measured targets, from the log alone, and their bounds.
+"""Orientation errors of the tool at measured targets, from the log alone, and their bounds.
 
-The pose of the tool is the rigid fit of its reflectors, where the calibration has found them on the
-flange. An error is a rotation vector in {W}: actual = exp(vector) nominal. Its bound has the parts
-that turn a corrected target: model and visit, the frames, and in a validation the readings.
-
-U of a measured orientation has the readings, the stated limits of tracker and reflectors, each
-reflector by itself, and the turn of {W}. A shift that all reflectors share turns nothing.
+The pose of the tool is the rigid fit of its reflectors, with their positions on the flange from the
+calibration. An error is a rotation vector in {W}: actual = exp(vector) nominal. Its bound includes
+model, visit and frames, and in a validation the readings. U of a measured orientation includes the
+readings, the stated limits of tracker and reflectors, each reflector by itself, and the rotation of
+{W}; a shift common to all reflectors has no effect.
 """
 
 from __future__ import annotations
@@ -54,9 +53,8 @@ MOVED_MM = 0.03  # of reflectors against each other: at 150 mm it turns the tool
 
 @dataclass(frozen=True, eq=False)
 class OrientationErrors:
-    """Tool points of N targets, their errors of orientation (N, 3) in rad, axes of {W}, the
-    covariances (N, 3, 3) that the readings give them, and those of 1 mm^2 in each coordinate of
-    each reflector.
+    """Tool points of N targets and their orientation errors (N, 3) in rad, axes of {W}. Covariances
+    (N, 3, 3) by the readings, and those by 1 mm^2 in each coordinate of each reflector.
     """
 
     points: list[Point]
@@ -69,12 +67,12 @@ class OrientationErrors:
 
     @property
     def angles_deg(self) -> Array:
-        """Return by how much each target (N,) is turned."""
+        """Orientation error of each target (N,)."""
         return np.degrees(lengths_mm(self.error_rad))
 
     @property
     def noise_deg(self) -> float:
-        """Return by what angle the readings alone turn a target: root mean square of all."""
+        """Orientation error by the readings alone: root mean square of all."""
         return math.degrees(math.sqrt(np.trace(self.reading_rad2, axis1=1, axis2=2).mean()))
 
     @property
@@ -84,7 +82,7 @@ class OrientationErrors:
 
 
 def seats_of(log: Log) -> Array | None:
-    """Return where the reflectors (K, 3) are on the flange; None where the run cannot tell."""
+    """Positions of the reflectors (K, 3) on the flange; None where unknown."""
     framed = {"world", "base"} <= log.frames.keys()
     if not (log.cell.robot.more_smr_mm and framed and log.select("grid")):
         return None
@@ -95,7 +93,7 @@ def seats_of(log: Log) -> Array | None:
 
 
 def last_orientation_errors(log: Log, points: Sequence[Point], seats: Array) -> OrientationErrors:
-    """Return the last errors of tool points with a nominal orientation, all reflectors measured."""
+    """Last errors of tool points with a nominal orientation, all reflectors measured."""
     return _turned(log, [times[-1] for times in _times(log, points, len(seats))], seats)
 
 
@@ -106,7 +104,7 @@ def repeated_orientation_errors(log: Log, point: Point, seats: Array) -> Orienta
 def largest_orientation_errors(
     log: Log, points: Sequence[Point], seats: Array
 ) -> OrientationErrors:
-    """Return each target's largest measured error of those as `last_orientation_errors` gives."""
+    """Each target's largest measured error; otherwise as `last_orientation_errors`."""
     measured = _times(log, points, len(seats))
     every = _turned(log, [*chain(*measured)], seats)
     ends, angles_deg = np.cumsum([0, *map(len, measured)]), every.angles_deg
@@ -120,7 +118,7 @@ def largest_orientation_errors(
 
 
 def _times(log: Log, points: Sequence[Point], count: int) -> list[list[list[Point]]]:
-    """Return the ``count`` reflectors of each pose, each time; a missing time is the last one."""
+    """The ``count`` reflectors of each pose, each time; a missing time is the last one."""
     found = []
     for point in points:
         ids = [point.id.at_seat(n) for n in range(1, count + 1)]
@@ -133,7 +131,7 @@ def _times(log: Log, points: Sequence[Point], count: int) -> list[list[list[Poin
 
 
 def _turned(log: Log, poses: Sequence[Sequence[Point]], seats: Array) -> OrientationErrors:
-    """Return the errors of poses; each has its reflectors, the tool point first."""
+    """Errors of poses; each has its reflectors, the tool point first."""
     known = [each[0] for each in poses]
     if not known:
         return OrientationErrors([], np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3, 3)))
@@ -167,7 +165,7 @@ def validated_orientation_errors(
 
 
 def largest_orientation_error(log: Log, turned: OrientationErrors | None) -> OrientationError:
-    """Return the largest error of orientation and its U; no numbers where none was measured."""
+    """Largest orientation error and its U; NaN where none was measured."""
     if turned is None or not len(turned):
         return UNKNOWN_ORIENTATION
     return OrientationError(
@@ -179,7 +177,7 @@ def largest_orientation_error(log: Log, turned: OrientationErrors | None) -> Ori
 def orientation_covariances_rad2(
     log: Log, turned: OrientationErrors, *, readings: bool = True
 ) -> Array:
-    """Return the covariances (N, 3, 3) of orientations in {W}, with or without ``readings``."""
+    """Covariances (N, 3, 3) of orientations in {W}, with or without ``readings``."""
     covariance_rad2 = stated_mm2(log.cell) * turned.per_mm2_rad2
     if readings:
         covariance_rad2 = covariance_rad2 + turned.reading_rad2
@@ -189,7 +187,7 @@ def orientation_covariances_rad2(
 
 
 def check_orientation_limit(cell: Cell) -> None:
-    """Raise `HilcellError` where the stated uncertainties alone leave nothing of the limit."""
+    """Raise `HilcellError` where the stated uncertainties alone consume the limit."""
     limit_deg = cell.validation.max_tolerance_deg
     if limit_deg is None:
         return
@@ -206,16 +204,16 @@ def check_orientation_limit(cell: Cell) -> None:
 
 
 def expanded_deg(covariances_rad2: Array) -> Array:
-    """Return U (N,) of each angle, of covariances (N, 3, 3): along the axis of the largest."""
+    """U (N,) of each angle, of covariances (N, 3, 3): along the axis of the largest."""
     u_rad = np.sqrt(np.linalg.eigvalsh(covariances_rad2)[:, -1])
     return np.degrees([expanded_mm(each) for each in u_rad])
 
 
 def moved_on_flange_mm(log: Log) -> float:
-    """Return by how much reflectors moved against each other between grid and validation, mm.
+    """Motion of reflectors against each other between grid and validation, mm.
 
-    A reflector that was knocked turns the tool that is measured, and nothing else shows it. Medians
-    of distances: one bad reading is no motion. 0 where one of both was not measured.
+    A displaced reflector rotates the measured tool, and nothing else shows it. Medians of
+    distances, so that one bad reading does not count; 0 where either was not measured.
     """
     before, after = _apart_mm(log, log.select("grid")), _apart_mm(log, log.select("validate"))
     if not (len(before) and len(after)):
@@ -224,7 +222,7 @@ def moved_on_flange_mm(log: Log) -> float:
 
 
 def _apart_mm(log: Log, points: Sequence[Point]) -> Array:
-    """Return the distances (N, D) between each two reflectors at poses where all were measured."""
+    """Distances (N, D) between reflectors at poses where all were measured."""
     numbers = range(1, len(log.cell.robot.seats_mm) + 1)
     each = [[log.find(point.id.at_seat(n)) for n in numbers] for point in points]
     known = [[seat for seat in seats if seat is not None] for seats in each]
@@ -237,8 +235,8 @@ def _apart_mm(log: Log, points: Sequence[Point]) -> Array:
 
 
 def orientation_bounds_deg(calibration: Calibration, station: str, poses: Array) -> Array | None:
-    """Return the 95 % bounds (N,) of orientation at poses (N, 4, 4) in {W}, None where it is not
-    corrected; raises `NoBound`.
+    """95 % bounds (N,) of orientation at poses (N, 4, 4) in {W}, None where not corrected. Raises
+    `NoBound`.
     """
     if not calibration.orients:
         return None
@@ -249,7 +247,7 @@ def orientation_bounds_deg(calibration: Calibration, station: str, poses: Array)
 def orientation_coverages(
     calibration: Calibration, log: Log, places: Mapping[str, Sequence[str]]
 ) -> dict[str, OrientationBounds]:
-    """Return the bounds of corrected orientations by place; raises `NoBound`."""
+    """Bounds of corrected orientations by place; raises `NoBound`."""
     seats = seats_of(log) if calibration.orients else None
     if seats is None:
         return {}
@@ -272,7 +270,7 @@ def orientation_coverages(
 def _validated(
     calibration: Calibration, log: Log, station: str, seats: Array
 ) -> tuple[Array, Array]:
-    """Return the errors and bounds, (N,) each in deg, of a station's corrected targets."""
+    """Errors and bounds, (N,) each in deg, of a station's corrected targets."""
     turned = largest_orientation_errors(
         log, log.select("validate", station, how=Sent.CHOSEN), seats
     )
@@ -294,7 +292,7 @@ def _bounds_deg(
     lines: Sequence[Influence],
     own_rad2: Array,
 ) -> Array:
-    """Return the bounds (N,): model, frames of {W} and {B}, and what else (N, 3, 3) there is."""
+    """Bounds (N,) of model, frames of {W} and {B}, and other covariances (N, 3, 3)."""
     T_W_B = calibration.base(station)
     turn = calibration.error_model().predict(inverse(T_W_B) @ poses).orientation
     if turn is None:

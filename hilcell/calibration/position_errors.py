@@ -1,9 +1,8 @@
 """Position errors e = actual - nominal at the targets, in {W}, mm, from the log alone (eq 18).
 
-And how far one visit of a pose scatters there: the robot's scatter, and the readings' noise, which
-is a length along the beam and an angle across it: a total station's, 0.3 mm along and 0.02 mm
-across, shows as 0.05 mm across a direction that is 10 deg from the beam. So what a few places have
-shown holds elsewhere only for the robot.
+Also the scatter of one visit: the robot's own, and the readings' noise, a length along the beam and
+an angle across it. A total station's 0.3 mm along and 0.02 mm across show as 0.05 mm in a direction
+10 deg off the normal to the beam, so only the robot's scatter is transferred to other places.
 """
 
 from __future__ import annotations
@@ -34,17 +33,17 @@ class Errors:
 
     @property
     def norms_mm(self) -> Array:
-        """Return the 3D errors (N,) of eq 18."""
+        """3D errors (N,) of eq 18."""
         return lengths_mm(self.error_mm)
 
     @property
     def figures(self) -> Figures:
-        """Return mean, p95 and maximum of the 3D errors (mm)."""
+        """Mean, p95 and maximum of the 3D errors (mm)."""
         return figures_of(self.norms_mm)
 
 
 def position_errors(log: Log, points: list[Point]) -> Errors:
-    """Return the errors of points that have a nominal target."""
+    """Errors of points that have a nominal target."""
     known = [point for point in points if point.nominal_mm is not None]
     nominal_mm = np.array([point.nominal_mm for point in known], dtype=float).reshape(-1, 3)
     actual_mm = apply(log.matrix("world"), positions_mm(known))
@@ -52,9 +51,8 @@ def position_errors(log: Log, points: list[Point]) -> Errors:
 
 
 def targets(log: Log, station: str, how: Sent) -> list[Point]:
-    """Return the targets of a station, sent as ``how``, each by its largest measured error.
-
-    So a target that is measured again, whatever the reason, cannot make the figures smaller.
+    """Targets of a station, sent as ``how``, each by its largest measured error. So a
+    re-measurement, for any reason, cannot reduce the figures.
     """
     return _counting(log, log.select("validate", station, how=how))
 
@@ -64,7 +62,7 @@ def _counting(log: Log, points: list[Point]) -> list[Point]:
 
 
 def counting(log: Log, point: Point) -> Point:
-    """Return the measurement of a target that counts: that with the largest error."""
+    """The measurement of a target with the largest error: the one that counts."""
     if point.key not in log.repeated:
         return point
     measured = [*log.repeated[point.key], point]
@@ -72,7 +70,7 @@ def counting(log: Log, point: Point) -> Point:
 
 
 def validation(log: Log, stations: list[str]) -> dict[Sent, Errors]:
-    """Return the errors before and after at ``stations``, as far as they were measured."""
+    """Errors before and after at ``stations``, as far as measured."""
     sent: dict[tuple[str, str], list[Point]] = {}
     for point in log.select("validate") if "world" in log.frames else ():
         sent.setdefault((point.station, point.id.how), []).append(point)
@@ -85,7 +83,7 @@ def validation(log: Log, stations: list[str]) -> dict[Sent, Errors]:
 
 
 def judged_places(cell: Cell) -> dict[str, list[str]]:
-    """Return the places of validation with their stations: the grid's, all others, each other."""
+    """Places of validation with their stations: the grid's, all others, each other."""
     reference = cell.grid.station
     others = [station.name for station in cell.station if station.name != reference]
     together = {OTHERS: others} if others else {}
@@ -93,35 +91,35 @@ def judged_places(cell: Cell) -> dict[str, list[str]]:
 
 
 def places(cell: Cell) -> dict[str, list[str]]:
-    """Return the places of validation, without the others where that is one station twice."""
+    """Places of validation, without the others where that is one station twice."""
     found = judged_places(cell)
     return {name: each for name, each in found.items() if name != OTHERS or len(each) > 1}
 
 
 def grid_errors(log: Log) -> Errors | None:
-    """Return the errors at the grid's vertices, or nothing where none was measured."""
+    """Errors at the grid's vertices; None where none was measured."""
     points = log.select("grid")
     return position_errors(log, points) if points and "world" in log.frames else None
 
 
 def reduction(before_mm: float, after_mm: float) -> float:
-    """Return which share of an error was removed, 1 - after / before (row 16 of the paper)."""
+    """Removed share of an error, 1 - after / before (row 16 of the paper)."""
     return 1.0 - after_mm / before_mm
 
 
 def visits_mm(log: Log) -> list[Array]:
-    """Return the clouds (N, 3), tracker's frame, of places that the robot visited repeatedly."""
+    """Clouds (N, 3), tracker's frame, of places that the robot visited repeatedly."""
     return [positions_mm(points) for points in repeated_visits(log)]
 
 
 def visit_scatter(log: Log, R: Array) -> tuple[Array, int, int]:
-    """Return one visit's covariance (3, 3), turned by ``R``, and how many visits and places."""
+    """One visit's covariance (3, 3), rotated by ``R``, and the counts of visits and places."""
     return pooled(visits_mm(log), R)
 
 
 def pooled(clouds_mm: Sequence[Array], R: Array) -> tuple[Array, int, int]:
-    """Return the covariance (3, 3) of clouds (N, 3) about their means, turned by ``R`` (3, 3), and
-    the counts of points and clouds (GUM H.3.6).
+    """Covariance (3, 3) of clouds (N, 3) about their means, rotated by ``R`` (GUM H.3.6). With the
+    counts of points and clouds.
     """
     left_mm = np.concatenate([cloud - cloud.mean(axis=0) for cloud in clouds_mm]) @ R.T
     covariance_mm2: Array = left_mm.T @ left_mm / (len(left_mm) - len(clouds_mm))
@@ -136,23 +134,23 @@ class VisitNoise:
     beam: BeamNoise
 
     def covariances(self, points: Sequence[Point], R: Array) -> Array:
-        """Return the covariances (N, 3, 3) of single visits, turned by ``R`` (3, 3)."""
+        """Covariances (N, 3, 3) of single visits, rotated by ``R`` (3, 3)."""
         return R @ (self.robot_mm2 + noise_at(self.beam, points)) @ R.T
 
 
 @of_measured
 def visit_noise(log: Log) -> VisitNoise:
-    """Return what a run's readings and its repeated visits show."""
+    """Noise shown by a run's readings and its repeated visits."""
     beam, visits = run_noise(log), repeated_visits(log)
     noise_mm2 = np.array([noise_at(beam, each).mean(axis=0) for each in visits])
     return VisitNoise(scatter_besides([positions_mm(each) for each in visits], noise_mm2), beam)
 
 
 def scatter_besides(clouds_mm: Sequence[Array], noise_mm2: Array) -> Array:
-    """Return the covariance (3, 3) that clouds (N, 3) share besides their noise (K, 3, 3).
+    """Covariance (3, 3) that clouds (N, 3) share besides their noise (K, 3, 3).
 
-    The likeliest one, by expectation and maximisation (Dempster, Laird and Rubin 1977). A plain
-    difference would have negative variances; cutting them off takes from other directions too.
+    Maximum likelihood by expectation and maximisation (Dempster, Laird and Rubin 1977). A plain
+    difference could have negative variances; cutting them off would distort other directions.
     """
     freedom = np.array([len(cloud) - 1 for cloud in clouds_mm])
     squares = (len(cloud) * np.cov(cloud, rowvar=False, bias=True) for cloud in clouds_mm)
@@ -173,7 +171,7 @@ def scatter_besides(clouds_mm: Sequence[Array], noise_mm2: Array) -> Array:
 
 
 def block_diagonal(blocks: Array) -> Array:
-    """Return the covariance (3N, 3N) of N independent differences, of their own (N, 3, 3)."""
+    """Covariance (3N, 3N) of N independent differences with (N, 3, 3)."""
     count = len(blocks)
     matrix = np.zeros((count, 3, count, 3))
     matrix[np.arange(count), :, np.arange(count), :] = blocks

@@ -1,14 +1,11 @@
 """Whether a calibration is still valid, judged by a few corrected poses measured again.
 
-Of N errors e (3N values) the calibration predicts the covariance C: that of each pose by itself
-(model, one visit, reading) and that of frames, which move all of them together. Generalised
-least squares splits ``e' C^-1 e`` into a part of 6 degrees of freedom, explained by a small motion
-of the robot's base, and the rest, of 3N - 6; both are chi^2 where nothing has changed. A rest that
-is too large asks for a new calibration, a motion that is too large for an update of the base frame.
-A reflector that slipped on its mount is a shift in {T}: poses of one orientation do not
-distinguish it from one of the base, reoriented poses do.
-The motion is the mean of its posterior: C has the uncertainty of the frames, so that noise of {W}
-alone moves no base.
+The calibration predicts the covariance C of N errors e (3N values): of each pose (model, one visit,
+reading), and of frames, which move all together. Generalised least squares splits ``e' C^-1 e``
+into 6 degrees of freedom of a small motion of the base, and a rest of 3N - 6; both are chi^2 where
+nothing has changed. A large rest requires a new calibration, a large motion an update of the base
+frame. A slipped reflector is a shift in {T}, indistinguishable from one of the base without
+reoriented poses. The motion is the mean of its posterior: noise of {W} alone moves no base.
 """
 
 from __future__ import annotations
@@ -46,8 +43,8 @@ Verdict = Literal["valid", "update", "redo"]
 class Rechecked:
     """Errors e = actual - target (N, 3) at targets (N, 3), both in {B}, with their covariance.
 
-    ``own_mm2`` (N, 3, 3) is that of each error by itself, ``common_mm2`` (3N, 3N) that of frames,
-    which move all poses together. ``orientations`` (N, 3, 3) are those of {T} in {B}.
+    ``own_mm2`` (N, 3, 3): of each error; ``common_mm2`` (3N, 3N): of frames, which move all poses
+    together; ``orientations`` (N, 3, 3): of {T} in {B}.
     """
 
     targets_mm: Array
@@ -58,7 +55,7 @@ class Rechecked:
 
     @property
     def covariance_mm2(self) -> Array:
-        """Return the covariance (3N, 3N) of all errors."""
+        """Covariance (3N, 3N) of all errors."""
         total = self.common_mm2.copy()
         for n, own in enumerate(self.own_mm2):
             total[3 * n : 3 * n + 3, 3 * n : 3 * n + 3] += own
@@ -66,13 +63,13 @@ class Rechecked:
 
     @property
     def each_mm2(self) -> Array:
-        """Return the covariances (N, 3, 3) of the errors one by one."""
+        """Covariances (N, 3, 3) of the errors one by one."""
         count = len(self.own_mm2)
         blocks = self.covariance_mm2.reshape(count, 3, count, 3)
         return np.moveaxis(np.diagonal(blocks, axis1=0, axis2=2), -1, 0)
 
     def drift(self) -> tuple[float, float]:
-        """Return the root of the errors' mean square beyond the predicted one, and its u.
+        """Root of the errors' mean square beyond the predicted one, and its u.
 
         The mean square is a quadratic form of normal variables, of variance ``2 tr C^2 + 4 e' C e``
         over N^2. u is half the width of its image under the root, which stays finite at 0.
@@ -99,14 +96,14 @@ class ChiSquare(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """Both tests, the base's motion, and what it leaves.
+    """Both tests, the base's motion, and the residual.
 
-    ``motion`` (6,) is the shift of {B}'s origin (mm) and the rotation vector (rad) about it, axes
-    of {B}, ``covariance`` (6, 6) that of the motion. ``shift_mm`` is how far it carries the middle
-    of the poses, ``drift_mm`` by how much the root mean square of the errors exceeds what was
-    predicted; u are standard uncertainties of these 3D lengths. ``left_mm`` (N, 3) are the errors
-    less the motion, ``sigmas`` (N,) the same in the standard deviations of a coordinate.
-    ``slipped`` tests what a mount that slipped by ``slip_mm`` would leave, without a motion.
+    ``motion`` (6,): shift of {B}'s origin (mm) and rotation vector (rad) about it, axes of {B},
+    with ``covariance`` (6, 6). ``shift_mm``: motion of the middle of the poses; ``drift_mm``:
+    excess of the errors' root mean square over the prediction; u: standard uncertainties of these
+    3D lengths. ``left_mm`` (N, 3): errors less the motion, ``sigmas`` (N,) in standard deviations
+    of a coordinate. ``slipped``: test of the residual of a mount that slipped by ``slip_mm``,
+    without a motion.
     """
 
     moved: ChiSquare
@@ -132,22 +129,22 @@ class Judgement:
 
     @property
     def may_be_slip(self) -> bool:
-        """Whether the poses do not tell the base's motion from a mount that slipped."""
+        """Whether the poses do not distinguish the base's motion from a slipped mount."""
         return self.verdict == "update" and self.slipped.holds
 
     @property
     def worst(self) -> int:
-        """Return the pose that the motion explains least."""
+        """The pose that the motion explains least."""
         return int(np.argmax(self.sigmas))
 
     @property
     def base(self) -> Array:
-        """Return the present base (4, 4) in the {B} of the calibration."""
+        """The present base (4, 4) in the {B} of the calibration."""
         return matrix(from_rotvec(self.motion[3:]), self.motion[:3])
 
 
 def judged(measured: Rechecked) -> Judgement:
-    """Judge the errors; raises `HilcellError` for too few, and for one that is no number."""
+    """Judge the errors; raises `HilcellError` for too few, or not finite."""
     bumped_mm, bumped_rad = 1.0, 1e-3  # 1 sigma of a base that was moved, before any pose says so
     count = len(measured.errors_mm)
     if not count >= FEWEST:
@@ -191,10 +188,10 @@ def judged(measured: Rechecked) -> Judgement:
 def suspicions(
     measured: Rechecked, judgement: Judgement, arm: Arm, joints_rad: Array
 ) -> list[Suspicion]:
-    """Return the causes that explain the errors at joints (N, 6), the likeliest first.
+    """Causes that explain the errors at joints (N, 6), the likeliest first.
 
-    Each is taken off together with a motion of the base. Where the errors need no cause besides
-    such a motion, only a mount is suspected whose slip explains them as well.
+    Each is removed together with a motion of the base. Where such a motion suffices, only a mount
+    whose slip explains the errors as well is suspected.
     """
     noticed_by = "re-check"
     if judgement.may_be_slip:
@@ -216,7 +213,7 @@ def suspicions(
 
 
 def motion_columns(targets_mm: Array) -> Array:
-    """Return d(errors) / d(motion of the base), (3N, 6), at targets (N, 3) in {B}."""
+    """d(errors) / d(motion of the base), (3N, 6), at targets (N, 3) in {B}."""
     return motion_levers(targets_mm)[:, :, :MOTION].reshape(-1, MOTION)
 
 
@@ -231,7 +228,7 @@ def _test(chi2: float, freedom: int) -> ChiSquare:
 
 
 def rechecked_run(log: Log) -> Judgement:
-    """Return the judgement of a run that has measured its poses; raises `HilcellError`."""
+    """Judgement of a run that has measured its poses; raises `HilcellError`."""
     return judged(rechecked(log))
 
 
@@ -240,7 +237,7 @@ def rechecked(log: Log) -> Rechecked:
 
 
 def as_predicted(log: Log, points: list[Point], station: str) -> Rechecked:
-    """Return errors of points at a station, with the covariance that the calibration predicts."""
+    """Errors of points at a station, with the covariance that the calibration predicts."""
     calibration, visits = used(log), visited(log, points, station)
     poses = driven_poses(calibration, log, points, visits.nominal_mm)
     model = calibration.error_model().predict(poses)
@@ -255,7 +252,7 @@ def as_predicted(log: Log, points: list[Point], station: str) -> Rechecked:
 
 
 class CheckedPose(msgspec.Struct, frozen=True):
-    """A pose's error beside its predicted bound (95 %), and what the base's motion leaves of it."""
+    """A pose's error, its predicted bound (95 %), and its residual after the base's motion."""
 
     pose: str
     at_mm: list[float]
@@ -274,7 +271,7 @@ class ChiSquares(msgspec.Struct, frozen=True):
 
 
 class RecheckResult(msgspec.Struct, frozen=True, kw_only=True):
-    """The verdict, its figures, and the sentence for people, with their names in JSON."""
+    """Verdict, figures, and text, with their names in JSON."""
 
     verdict: Verdict
     calibration: str
@@ -304,7 +301,7 @@ class RecheckResult(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def doubt(self) -> str:
-        """Return what explains an update as well as a base that moved; "" is nothing."""
+        """Alternative explanation of an update, besides a moved base; "" for none."""
         if self.verdict != "update" or not self.suspicions:
             return ""
         return (
@@ -372,7 +369,7 @@ class RecheckResult(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def recheck_result(log: Log) -> RecheckResult:
-    """Return the result of a run that has measured its poses; raises `HilcellError`."""
+    """Result of a run that has measured its poses; raises `HilcellError`."""
     measured, judgement = rechecked(log), rechecked_run(log)
     calibration, as_found = used(log), judged_errors(log, measured.errors_mm)
     verdict = judgement.verdict

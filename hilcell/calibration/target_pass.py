@@ -1,8 +1,7 @@
 """A pass over targets: errors as measured, and their residuals folded into the calibration.
 
-Targets that no others support, by more than 5 standard deviations, are left out and named.
-Errors that share a motion which the calibration does not predict are not its targets': nothing is
-folded in where the base, the slide or the mount has moved.
+Targets more than 5 standard deviations off their neighbours are left out and named. After a common
+motion that the calibration does not predict (base, slide or mount), nothing is folded in.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ KIND = "targets"
 
 
 def listed(log: Log) -> tuple[list[str], Array] | None:
-    """Return names and values (N, 6) in {W} of the targets, once the journal has them."""
+    """Names and values (N, 6) in {W} of the targets, once journalled."""
     for targets in log.happened(TargetsListed):
         values: Array = np.array(targets.values, dtype=float)
         return targets.names, values
@@ -54,7 +53,7 @@ def gross_targets(log: Log) -> list[str]:
 
 
 def folded(log: Log, run: str) -> Calibration:
-    """Return the calibration with this pass and those before it folded in."""
+    """The calibration with this pass and those before it folded in."""
     calibration, (this, poses) = used(log), _pass(log, run)
     this = this.without(gross_targets(log))
     before = calibration.targets.passes if calibration.targets is not None else []
@@ -67,14 +66,14 @@ def folded(log: Log, run: str) -> Calibration:
 
 
 class TargetError(msgspec.Struct, frozen=True):
-    """The error of a target before its residual is folded in."""
+    """Error of a target before its residual is folded in."""
 
     name: str
     error_mm: float
 
 
 class TargetsResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """Errors as found, how far they are folded in, and a shared motion, if not predicted."""
+    """Measured errors, the share folded in, and an unpredicted common motion."""
 
     calibration: str
     station: str
@@ -153,10 +152,10 @@ def judged_pass(log: Log) -> Judged:
 
 
 def moved_together(log: Log) -> Judgement | None:
-    """Return the judgement of a motion that all targets share; None where it holds.
+    """Judgement of a motion common to all targets; None where not significant.
 
-    Fewer targets than a re-check takes are not judged. Errors of the model are alike at targets
-    that lie near each other, so that many tell no more than ten do.
+    Fewer targets than in a re-check are not judged. Errors of the model are alike at neighbouring
+    targets: many say no more than ten.
     """
     points = target_points(log)
     if len(points) < FEWEST:
@@ -175,7 +174,7 @@ def _errors_mm(log: Log) -> Array:
 
 
 def _pass(log: Log, run: str = "") -> tuple[TargetPass, Array]:
-    """Return the pass, and its commanded poses (N, 4, 4) in {B}."""
+    """The pass, and its commanded poses (N, 4, 4) in {B}."""
     calibration, points = used(log), target_points(log)
     visits = visited(log, points, points[0].station)
     poses = forward(log.cell.robot.arm(), commanded_rad(points))
@@ -193,13 +192,13 @@ def _pass(log: Log, run: str = "") -> tuple[TargetPass, Array]:
 
 
 def _predicted(calibration: Calibration, poses: Array) -> Prediction:
-    """Return the learnt model's prediction at poses, for one outside at the volume's face."""
+    """Prediction of the learnt model at poses; outside, that of the volume's face."""
     at = poses.copy()
     at[:, :3, 3] = calibration.grid().clamped(poses[:, :3, 3])
     return calibration.learnt_model().predict(at)
 
 
 def _stated_mm2(calibration: Calibration, poses: Array) -> float:
-    """Return the mean variance of one coordinate that the model states at poses."""
+    """Mean variance of one coordinate that the model states at poses."""
     covariance_mm2 = _predicted(calibration, poses).covariance_mm2
     return float(np.trace(covariance_mm2, axis1=1, axis2=2).mean()) / 3

@@ -1,10 +1,10 @@
-"""The tip at which targets are given: of a tool of the cell file, or the reflector's centre.
+"""The tip of the targets: of a tool of the cell file, or the reflector's centre.
 
-A calibration knows the reflector's frame {T}. A tool's tip {D} has a fixed pose in {T}, so a
-target of {D} is one of {T}, and is corrected as such: in orientation too, where several reflectors
-were measured. With one reflector the flange's turn is not known; over the lever between reflector
-and tip it is a part of the bounds. (The turn that the kinematics of one reflector would predict is
-mostly prior: it took the tip .3 mm away where without it .03 to .1 mm were left.)
+A calibration has the reflector's frame {T}. A tool's tip {D} has a fixed pose in {T}, so a target
+of {D} is corrected as one of {T}: in orientation too, where several reflectors were measured. With
+one reflector the flange's rotation is unknown; with the lever to the tip it is a part of the
+bounds. (Correcting by the rotation that one reflector's kinematics predict is mostly prior: it
+moved the tip .3 mm away, against .03 to .1 mm without.)
 """
 
 from __future__ import annotations
@@ -28,8 +28,7 @@ SAME_MM, SAME_RAD = 0.01, 1e-4  # between a stated frame and a tool's: numbers a
 @dataclass(frozen=True, eq=False)
 class Tip:
     """A tip: its name, its frame {D} in {T} (4, 4) and in the flange, and the tool's table.
-
-    ``table`` is None for the reflector; ``number`` is the controller's, None where it has none.
+    ``table``: None for the reflector; ``number``: the controller's, None where it has none.
     """
 
     name: str
@@ -42,22 +41,22 @@ class Tip:
 
     @property
     def T_D_T(self) -> Array:  # noqa: N802 - the frame's symbol
-        """Return {T} in {D} (4, 4)."""
+        """{T} in {D} (4, 4)."""
         return inverse(self.T_T_D)
 
     @property
     def lever_mm(self) -> Array:
-        """Return where the tip is in {T}, (3,)."""
+        """Position of the tip in {T}, (3,)."""
         return self.T_T_D[:3, 3]
 
     @property
     def u_mm(self) -> float:
-        """Return the standard deviation of the tip's place against the reflector."""
+        """Standard deviation of the tip's position against the reflector."""
         return 0.0 if self.table is None else self.table.u_mm
 
     @property
     def standoff_mm(self) -> float:
-        """Return the stand-off from the part between holes, unless another is given."""
+        """Stand-off from the part between holes, unless another is given."""
         if self.table is None:
             return self.REFLECTOR_STANDOFF_MM
         return self.table.standoff_mm or self.table.least_standoff_mm
@@ -68,7 +67,7 @@ class Tip:
 
     @property
     def scope(self) -> str:
-        """Return for which point targets, corrections and bounds are valid."""
+        """Label: the point for which targets, corrections and bounds are valid."""
         if self.table is None:
             return "they hold at the reflector's centre"
         return (
@@ -94,7 +93,7 @@ AT_REFLECTOR = Tip(REFLECTOR, np.eye(4), np.eye(4))  # of a cell that is not kno
 
 
 def tool_tips(cell: Cell, number: int | None = None) -> list[Tip]:
-    """Return reflector and tools; raises `SettingsError` for a tool with the reflector's number."""
+    """Reflector and tools; raises `SettingsError` for a tool with the reflector's number."""
     T_F_T = cell.robot.arm().tool
     tips = [Tip(REFLECTOR, np.eye(4), T_F_T, number)]
     for table in cell.tool:
@@ -107,8 +106,8 @@ def tool_tips(cell: Cell, number: int | None = None) -> list[Tip]:
 
 
 def tip_named(cell: Cell | None, name: str, number: int | None = None) -> Tip:
-    """Return a tool's tip; "" is the only tool, or the reflector; raises `SettingsError` for an
-    unknown name, and for "" among several tools.
+    """A tool's tip; "" is the only tool, or the reflector. Raises `SettingsError` for an unknown
+    name, and for "" among several tools.
     """
     if cell is None:
         if name not in ("", REFLECTOR):
@@ -129,7 +128,7 @@ def tip_named(cell: Cell | None, name: str, number: int | None = None) -> Tip:
 def tip_of_program(
     cell: Cell, name: str, stated: StatedTool, number: int | None, source: str
 ) -> Tip:
-    """Return the tip that a program states; raises `SettingsError` for another one, or unknown."""
+    """The tip that a program states; raises `SettingsError` for another one, or unknown."""
     known = tool_tips(cell, number)
     found = next((tip for tip in known if tip.is_stated(stated)), None)
     if found is None:

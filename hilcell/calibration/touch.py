@@ -1,14 +1,12 @@
-"""The robot's base on this visit of a station, as touch poses after the stop show it.
+"""The robot's base on this visit of a station, measured by touch poses after the stop.
 
-The strip lets a slide come back only within its tolerance, and the station frame carries the noise
-of its nests. So the robot carries its reflector to a few corrected poses; how far it lands from
-where the station frame expects it gives the present base.
+The strip repeats only within its tolerance, and the station frame has the noise of its nests. So
+the robot carries its reflector to a few corrected poses; their offsets from the station frame's
+prediction give the present base. Only commands use it (`Frames.base_on_visit`): if targets did, an
+error of the base would cancel in every figure that judges it.
 
-A target's place in {W} is not moved by this, only the command is (`Frames.base_in_world`): were it,
-an error of the base would cancel in every figure that judges it.
-
-The frame as known and the points are weighted by their covariances (GUM 3.4.8, JCGM 101 5.1), so
-few or noisy points change the frame little. Nothing is inverted that may be singular.
+Frame and points are weighted by their covariances (GUM 3.4.8, JCGM 101 5.1). Nothing is inverted
+that may be singular.
 """
 
 from __future__ import annotations
@@ -45,7 +43,7 @@ from hilcell.model.suspicion import Suspicion
 
 
 def beside_nest(cell: Cell, station: Station, points_mm: Array) -> Bools:
-    """Return which points (N, 3) in nominal {B} the tracker cannot tell from a nest, (N,)."""
+    """Which points (N, 3) in nominal {B} the tracker cannot distinguish from a nest, (N,)."""
     apart_rad = least_separation_rad(cell)
     if not apart_rad or cell.layout.by_hand:
         return np.zeros(len(points_mm), dtype=bool)
@@ -64,7 +62,7 @@ def beside_nest(cell: Cell, station: Station, points_mm: Array) -> Bools:
 
 
 def touch_targets_mm(cell: Cell, station: Station) -> Array:
-    """Return touch targets (N, 3) in {B} through the cube, if possible not beside a nest."""
+    """Touch targets (N, 3) in {B} through the cube, if possible not beside a nest."""
     spare = 4  # places for each touch pose, for those that are passed over
     number = np.arange(spare * cell.touch.poses)[:, None]
     # Roots of x^4 = x + 1: steps by them fill a cube evenly, however many are taken.
@@ -89,10 +87,10 @@ def touch_ids(cell: Cell, station: Station, visit: int) -> list[PointId]:
 def touched_base(
     log: Log, station: Station, points: list[Point], covariance_mm2: Array
 ) -> FrameUpdate:
-    """Return T_W_B on the visit in which ``points`` were touched.
+    """T_W_B on the visit in which ``points`` were touched.
 
-    ``covariance_mm2`` (N, 3, 3) in {B} are those of the model's predictions there; the robot's
-    repeatability and the tracker's noise are added from the log.
+    ``covariance_mm2`` (N, 3, 3) in {B}: of the model's predictions there; the robot's repeatability
+    and the tracker's noise are added from the log.
     """
     T_W_B = Frames(log.cell, log).base_in_world(station)
     T_W_L, R = log.matrix("world"), T_W_B[:3, :3]
@@ -109,7 +107,7 @@ def touched_base(
 
 
 def suspected(log: Log, station: Station, points: list[Point], covariance_mm2: Array) -> Suspicion:
-    """Return why ``points`` contradict the station frame; covariances as in `touched_base`."""
+    """Why ``points`` contradict the station frame; covariances as in `touched_base`."""
     T_W_B = Frames(log.cell, log).base_in_world(station)
     T_B_W, R = inverse(T_W_B), T_W_B[:3, :3]
     nominal_mm = apply(T_B_W, np.array([point.nominal_mm for point in points]))
@@ -131,13 +129,12 @@ def suspected(log: Log, station: Station, points: list[Point], covariance_mm2: A
 
 
 def visit_covariance(log: Log, station: Station, points: list[Point]) -> Array:
-    """Return the covariance (7, 7) of T_W_B on a visit of the station, before it is touched.
+    """Covariance (7, 7) of T_W_B on a visit of the station, before it is touched.
 
-    That of the station frame, the strip's slip, and the arm's growth since the grid at the
-    temperature of ``points``: shift of {B}'s origin (mm), rotation vector (rad) about it, axes of
-    {W}; growth of the cube from its centre (ratio). Growth of the arm moves the cube's centre, as
-    a shift of the base does, and widens the cube. A run that uses a calibration of before has
-    found {W} again, so its error counts twice.
+    Of the station frame, the strip's slip, and the arm's growth since the grid at the temperature
+    of ``points``: shift of {B}'s origin (mm), rotation vector (rad) about it, axes of {W}; growth
+    of the cube from its centre (ratio). The arm's growth shifts the cube's centre as a shift of the
+    base does, and widens the cube. With an earlier calibration the error of {W} counts twice.
     """
     used = calibration_in(log)
     now_c = [p.temperature_c for p in points if p.temperature_c is not None]
@@ -162,10 +159,10 @@ def visit_covariance(log: Log, station: Station, points: list[Point]) -> Array:
 
 
 def _visit_noise_mm2(log: Log, points: list[Point]) -> Array:
-    """Return the covariances (N, 3, 3) in {W} of single visits, the readings' noise in them.
+    """Covariances (N, 3, 3) in {W} of single visits, with the readings' noise.
 
     From the visits of the repeatability's places; else from the readings, and from the robot's
-    repeatability where a calibration of before states it.
+    repeatability where an earlier calibration states it.
     """
     clouds_mm = visits_mm(log)
     if clouds_mm:
@@ -185,11 +182,10 @@ def _visit_noise_mm2(log: Log, points: list[Point]) -> Array:
 class FrameUpdate:
     """The corrected frame of a in b, its covariance (6, 6) as in `RigidFit`, the residuals (N, 3).
 
-    ``growth`` is the ratio by which a has grown from the centre, besides.
-
-    ``left_out`` are the numbers of points that no small motion explains. ``pull`` is the correction
-    in sigmas of the given covariance (its square is chi2 of up to 7), ``misfit`` the root mean
-    square of the residuals in sigmas as stated: large ones mean that frame and points contradict.
+    ``growth``: ratio by which a has grown from the centre; ``left_out``: numbers of points that no
+    small motion explains; ``pull``: the correction in sigmas of the given covariance (its square is
+    chi2 of up to 7); ``misfit``: root mean square of the residuals in sigmas as stated. Large ones
+    mean that frame and points contradict.
     """
 
     T: Array
@@ -209,12 +205,12 @@ def updated_frame(
     covariances_mm2: Array,
     centre_mm: Array | None = None,
 ) -> FrameUpdate:
-    """Return the frame ``T`` (4, 4) of a in b, corrected by pairs of points (N, 3), N >= 1.
+    """The frame ``T`` (4, 4) of a in b, corrected by pairs of points (N, 3), N >= 1.
 
-    ``covariance`` (6, 6) of ``T``, which may be singular: shift of a's origin and rotation
-    vector about it, axes of b; or (7, 7) with the growth of a from ``centre_mm`` (3,).
-    ``covariances_mm2`` (N, 3, 3) of each ``b - T a``, axes of b; their size is corrected by the
-    residuals. Raises `FrameError` on what is not finite.
+    ``covariance`` of ``T``, possibly singular: (6, 6), shift of a's origin and rotation vector
+    about it, axes of b; or (7, 7) with the growth of a from ``centre_mm`` (3,). ``covariances_mm2``
+    (N, 3, 3) of each ``b - T a``, axes of b; their size is corrected by the residuals. Raises
+    `FrameError` on what is not finite.
     """
     if not all(np.isfinite(each).all() for each in (T, covariance, a_mm, b_mm, covariances_mm2)):
         raise FrameError("frame update: a frame, a covariance or a point is not finite")
@@ -263,8 +259,8 @@ def updated_frame(
 
 
 def _solved(P: Array, J: Array, off_mm: Array, R: Array) -> tuple[Array, Array, float, float]:
-    """Return the correction (7,) with its covariance, chi2 of (measured - expected beforehand), and
-    the coordinates of the points that the correction spent; all points' rows are stacked.
+    """Correction (7,), its covariance, chi2 of (measured - predicted), and the coordinates it
+    spent. All points' rows are stacked.
     """
     rows, off = J.reshape(-1, SIZE), off_mm.reshape(-1)
     S = rows @ P @ rows.T

@@ -1,8 +1,8 @@
 """Whether a calibration may be used: sign, validation, cell, age, temperature.
 
-Volume and orientation are judged target by target in `hilcell.calibration.file`. A calibration
-with the wrong sign doubles every error and nothing in it shows that, so one whose sign was not
-verified on the cell is refused; so is one without a passed validation, unless that is accepted.
+Volume and orientation are judged target by target in `hilcell.calibration.file`. A wrong sign
+doubles every error and shows nowhere, so a calibration whose sign was not verified on the cell is
+refused; so is one without a passed validation, unless accepted.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ def check_usable(
     status: CalibrationStatus | None = None,
     accept_not_current: bool = False,
 ) -> list[str]:
-    """Return why a calibration is out of tolerance; raises `CalibrationRefused`.
+    """Why a calibration is out of tolerance; raises `CalibrationRefused`.
 
-    ``cell`` is that of today, ``calibrated`` as it was when its run began, ``limits`` are those of
-    a cell that is not given; None leaves each unchecked.
+    ``cell``: today's; ``calibrated``: as it was when its run began; ``limits``: of a cell that is
+    not given; None leaves each unchecked.
     """
     use = _Use(calibration, now, max_age_days, cell, calibrated, temperature_c)
     settled = ChangedSince.keys if status is not None and status.state == "current" else ()
@@ -74,10 +74,10 @@ def check_usable(
 def out_of_tolerance(
     calibration: Calibration, limits: Limits | None = None, settled: Collection[str] = ()
 ) -> list[str]:
-    """Return why a calibration is not known to be in tolerance, with the figures.
+    """Why a calibration is not known to be in tolerance, with the figures.
 
-    ``limits`` are those of the cell; None is those that it was judged by. ``settled`` are keys of
-    verdicts that an operator has decided on since.
+    ``limits``: of the cell; None: those that it was judged by. ``settled``: keys of verdicts that
+    an operator has decided on since.
     """
     if not calibration.verdicts:
         return ["its correction was never validated: its run ended before, or measures none"]
@@ -154,7 +154,6 @@ class _Use:
 
     @property
     def other_cell(self) -> str:
-        """In its tolerance alone is no other cell, and judged apart."""
         cell, digest = self.cell, self.calibration.provenance.digest
         if cell is None:
             return ""

@@ -1,1 +1,1 @@
-"""Robots measured elsewhere: their files, methods fitted to them, calibrated arms and targets."""
+"""Robots measured elsewhere: their files, fitted methods, calibrated arms and targets."""

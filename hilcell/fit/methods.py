@@ -1,12 +1,9 @@
-"""How well each method predicts measured targets: base and reflectors are found, errors learnt.
+"""How well each method predicts measured targets.
 
-A method learns from training rows and predicts positions of other rows. Figures come from rows
-that were not learnt from: the test rows, or each fifth of the training poses in turn. Rows of one
-pose share their errors, so a pose is left out as a whole, and rows of equal joints are one pose.
-Nothing depends on the rows' order. Training rows that contradict the others are named and left out
-by all methods; where they are many, or one misses by more than any robot errs, all are refused.
-
-Some methods identify the robot: link parameters, elastic joints, a tool's weight.
+Figures are of rows not learnt from: the test rows, or each fifth of the training poses in sequence.
+Rows of one pose (equal joints) share their errors and are left out together. Training outliers are
+named and left out by all methods; too many, or one too large for any robot, are refused. The rows'
+order has no effect.
 """
 
 from __future__ import annotations
@@ -71,7 +68,7 @@ TERMS: Mapping[str, tuple[bool, bool]] = {  # elastic joints, a tool's weight
 
 
 class Outlier(TypedDict):
-    """A training row that contradicts the others, and by how much it misses their prediction."""
+    """A training row that contradicts the others, and its distance from their prediction."""
 
     pose: str
     target: str
@@ -79,15 +76,18 @@ class Outlier(TypedDict):
 
 
 class Coverage(TypedDict):
-    """The share of test rows within their predicted 95 % bounds, and the bounds' mean."""
+    """Share of test rows within their predicted 95 % bounds, and the bounds' mean."""
 
     share: float
     bound_mm: float
 
 
 class IdentifiedModel(TypedDict):
-    """The identified robot: by parameter its value, standard deviation, and this over the prior's;
-    noise; how many directions of the parameters the poses determine, and their condition number.
+    """The identified robot: value, standard deviation, and the latter over the prior's, by
+    parameter.
+
+    Also noise, the number of directions of the parameters that the poses determine, and their
+    condition number.
     """
 
     method: str
@@ -103,12 +103,11 @@ class IdentifiedModel(TypedDict):
 
 
 class FitResult(TypedDict):
-    """The output of ``fit --json``; ``train`` and ``test`` count rows learnt from and judged.
+    """Output of ``fit --json``; ``train`` and ``test`` count the rows learnt from and judged.
 
-    ``methods`` has the figures of what each leaves, distances of predicted from measured positions;
-    ``refused`` gives why others could not be learnt; ``coverage`` is empty without test rows, and
-    ``coverage95``, its share of the chosen method, None. ``model`` is None where no robot was
-    identified.
+    ``methods``: distances of predicted from measured positions; ``refused``: why others could not
+    learn; ``coverage``: empty without test rows; ``coverage95``: that of the chosen method, or
+    None; ``model``: None where no robot was identified.
     """
 
     methods: dict[str, dict[str, float]]
@@ -126,11 +125,10 @@ class FitResult(TypedDict):
 
 @dataclass(frozen=True, eq=False)
 class AtPoints:
-    """Nominal positions and the errors that an error model predicts there, by reflector.
+    """Nominal positions and predicted errors there, by reflector.
 
-    ``freedom`` are the degrees of freedom of the covariances' estimate. Each reflector has
-    a model of its own, learnt from its own rows: nominal poses in {B}, errors with the tracker's
-    axes.
+    ``freedom``: degrees of freedom of the covariances' estimate. Each reflector has its own model:
+    nominal poses in {B}, errors with the tracker's axes.
     """
 
     placement: Placement
@@ -139,7 +137,6 @@ class AtPoints:
 
     @classmethod
     def learn(cls, placement: Placement, rows: Measurements, model: type[LearntModel]) -> Self:
-        """Return the models of each reflector's errors at the training rows."""
         error_mm, of_row = rows.xyz_mm - placement.predicted_mm(rows), np.array(rows.target)
         unknown_mm2 = np.full((len(rows), 3, 3), np.nan)
         poses = StaticPoses.of(rows.joints_rad, placement.nominal(rows), error_mm, unknown_mm2)
@@ -150,16 +147,16 @@ class AtPoints:
 
     @property
     def base(self) -> Array:
-        """Return the base in the tracker's frame (4, 4)."""
+        """The base in the tracker's frame (4, 4)."""
         return self.placement.T_L_B
 
     @property
     def smr_mm(self) -> Mapping[str, Array]:
-        """Return the reflectors (3,) on the flange."""
+        """Reflectors (3,) on the flange."""
         return self.placement.smr_mm
 
     def predict(self, rows: Measurements) -> tuple[Array, Array]:
-        """Return the rows' positions (N, 3) in the tracker's frame and covariances (N, 3, 3)."""
+        """Positions (N, 3) in the tracker's frame and covariances (N, 3, 3)."""
         poses, found_mm = self.placement.nominal(rows), self.placement.predicted_mm(rows)
         covariance_mm2 = np.empty((len(rows), 3, 3))
         of_row = np.array(rows.target)
@@ -180,7 +177,6 @@ class Poses:
 
     @classmethod
     def of(cls, rows: Measurements, targets: list[str]) -> Self:
-        """Return the rows of one pose together; a target that is measured again is a pose more."""
         refuse_unknown_targets(rows, targets)
         seen: dict[tuple[str, bytes, str], int] = {}
         numbers: dict[tuple[str, bytes, int], int] = {}
@@ -198,7 +194,6 @@ class Poses:
         return cls(Readings(joints_rad, xyz_mm, np.zeros((*xyz_mm.shape, 3))), at)
 
     def by_row(self, values: Array) -> Array:
-        """Return values (M, K, ...) row by row (N, ...)."""
         return values[self.at[:, 0], self.at[:, 1]]
 
 
@@ -215,10 +210,8 @@ class FittedArm:
     def learn(
         cls, placement: Placement, rows: Measurements, method: str, *, trusted: bool = True
     ) -> Self:
-        """Return the robot identified by one of `TERMS`; rows that are not trusted may be gross.
-
-        Raises `IdentificationError`, also where the joints are of less than `LEAST_POSES` poses:
-        one that is measured again tells nothing more about the robot.
+        """The robot identified by one of `TERMS`; rows not ``trusted`` may be outliers. Raises
+        `IdentificationError`, also for less than `LEAST_POSES` different poses.
         """
         different = count_poses(rows.joints_rad)
         if different < LEAST_POSES:
@@ -237,7 +230,7 @@ class FittedArm:
         return cls(by(kinematics, poses.readings, start), poses, targets)
 
     def with_residual(self) -> Self:
-        """Return the robot with a Gaussian process for what its parameters do not describe."""
+        """The robot with a Gaussian process for the residual of its parameters."""
         return replace(self, residual=with_residual(self.estimate))
 
     @property
@@ -250,26 +243,22 @@ class FittedArm:
 
     @property
     def freedom(self) -> float:
-        """Return the degrees of freedom of the noise: reflectors of one pose err alike."""
         spent = observability(self.estimate.system).effective
         least_freedom = 3.0  # one pose more than the parameters need
         return max(3.0 * len(self.poses.readings) - spent, least_freedom)
 
     @property
     def outliers(self) -> Bools:
-        """Return which rows (N,) contradict the others."""
         return self.estimate.outliers[self.poses.at[:, 0], self.poses.at[:, 1]]
 
     def predict(self, rows: Measurements) -> tuple[Array, Array]:
-        """Return the rows' positions (N, 3) in the tracker's frame, and the covariances (N, 3, 3)
-        of readings there.
-        """
+        """Positions (N, 3) in the tracker's frame, and covariances (N, 3, 3) of readings there."""
         poses = Poses.of(rows, self.targets)
         at_mm, covariance_mm2 = self._found.predict(poses.readings.joints_rad)
         return poses.by_row(at_mm), poses.by_row(covariance_mm2)
 
     def left_out_mm(self, fold: Ints) -> Array:
-        """Return measured less predicted (N, 3), each row by those of other folds (N,)."""
+        """Measured minus predicted (N, 3), each row predicted from the other folds (N,)."""
         of_pose = np.empty(len(self.poses.readings), dtype=np.int_)
         of_pose[self.poses.at[:, 0]] = fold
         folds = [np.flatnonzero(of_pose == each).astype(np.int_) for each in np.unique(fold)]
@@ -300,9 +289,10 @@ Method = AtPoints | FittedArm
 
 
 class Predicted(NamedTuple):
-    """Predicted positions of reflectors: ``xyz_mm`` (N, 3) in the tracker's frame,
-    ``covariance_mm2`` (N, 3, 3), and ``bound95_mm`` (N,), the lengths that 95 % of the 3-D
-    differences to a reading keep (`hilcell.geometry.statistics.bounds95_mm`).
+    """Predicted positions of reflectors: ``xyz_mm`` (N, 3) in the tracker's frame.
+
+    ``covariance_mm2`` (N, 3, 3); ``bound95_mm`` (N,) bounds 95 % of 3D differences to a reading
+    (`hilcell.geometry.statistics.bounds95_mm`).
     """
 
     xyz_mm: Array
@@ -311,7 +301,7 @@ class Predicted(NamedTuple):
 
     @classmethod
     def by(cls, method: Method, rows: Measurements) -> Self:
-        """Return the positions of the rows' reflectors by a method; raises `FitError`."""
+        """Positions of the rows' reflectors by a method; raises `FitError`."""
         at_mm, covariance_mm2 = method.predict(rows)
         return cls(at_mm, covariance_mm2, statistics.bounds95_mm(covariance_mm2, method.freedom))
 
@@ -320,8 +310,8 @@ class Predicted(NamedTuple):
 class RobotFit:
     """A robot and the rows that its errors were learnt from.
 
-    ``result`` is the output of ``fit --json``, ``methods`` has every method as learnt,
-    ``validated`` its figures at training poses left out in turn.
+    ``result``: the output of ``fit --json``; ``methods``: each method as learnt; ``validated``: its
+    figures at training poses left out in sequence.
     """
 
     robot: Robot
@@ -335,9 +325,8 @@ class RobotFit:
         return self.result["chosen"]
 
     def predict(self, joints_rad: Array, target: str) -> Predicted:
-        """Return positions of a reflector at commanded joints (N, 6) by the chosen method.
-
-        Raises `FitError` for a reflector that was not measured.
+        """Positions of a reflector at commanded joints (N, 6) by the chosen method. Raises
+        `FitError` for a reflector that was not measured.
         """
         rows = Measurements.unmeasured(np.asarray(joints_rad, dtype=float), target)
         return Predicted.by(self.methods[self.chosen], rows)
@@ -402,12 +391,12 @@ def fit_robot(robot: Robot, train: Measurements, test: Measurements | None = Non
 
 
 def scattered() -> dict[str, type[LearntModel]]:
-    """Return the error models that learn from poses anywhere, by name."""
+    """Error models that learn from arbitrary poses, by name."""
     return {name: model for name, model in MODELS.items() if model.scattered}
 
 
 def cross_validate(arm: Arm, rows: Measurements) -> dict[str, Array]:
-    """Return measured minus predicted (N, 3) by each of `scattered`, a fifth of poses left out."""
+    """Measured minus predicted (N, 3) by each of `scattered`, a fifth of the poses left out."""
     fold = pose_folds(rows.joints_rad)
     miss_mm = {name: np.empty((len(rows), 3)) for name in scattered()}
     for left_out in range(FOLDS):
@@ -423,9 +412,6 @@ def cross_validate(arm: Arm, rows: Measurements) -> dict[str, Array]:
 def _arms(
     placement: Placement, rows: Measurements, refused: dict[str, str]
 ) -> tuple[dict[str, FittedArm], dict[str, Array]]:
-    """Return the identified robots by method, and measured minus predicted (N, 3) of the same
-    folds; those that are not found go to ``refused``.
-    """
     fold, arms = pose_folds(rows.joints_rad), {}
     for name in TERMS:
         try:
@@ -442,7 +428,6 @@ def _arms(
 
 
 def figures_of(miss_mm: Array) -> Figures:
-    """Return the figures of misses (N, 3)."""
     return statistics.figures_of(statistics.lengths_mm(miss_mm))
 
 
@@ -463,7 +448,6 @@ def methods_table(methods: Mapping[str, Mapping[str, float]]) -> Table:
 
 
 def _contradicting(placement: Placement, rows: Measurements) -> tuple[Bools, dict[str, str]]:
-    """Return the outliers (N,), and why no robot is identified; raises `FitError`."""
     richest = max(TERMS, key=lambda name: sum(TERMS[name]))
     try:
         found = FittedArm.learn(placement, rows, richest, trusted=False)
@@ -480,7 +464,7 @@ def _contradicting(placement: Placement, rows: Measurements) -> tuple[Bools, dic
 
 
 def _refuse_absurd(arm: Arm, rows: Measurements, miss_mm: Array) -> None:
-    """Refuse rows that no robot misses by so much: nothing shows what they should be."""
+    """Refuse errors larger than any robot's."""
     bad = np.flatnonzero(~(miss_mm <= ABSURD_MM))
     if len(bad):
         # Without the rows that show it the others fit, and a wrong arm would correct them.
@@ -494,7 +478,7 @@ def _refuse_absurd(arm: Arm, rows: Measurements, miss_mm: Array) -> None:
 
 
 def _refuse_many(rows: Measurements, bad: Bools, miss_mm: Array) -> None:
-    """Refuse more rows that contradict the others than slips explain."""
+    """Refuse more outliers than slips explain."""
     struck = np.flatnonzero(bad)
     most_struck = 0.1  # share of training rows left out; beyond, they are no single slips
     if len(struck) <= most_struck * len(rows):
@@ -513,7 +497,7 @@ def _refuse_many(rows: Measurements, bad: Bools, miss_mm: Array) -> None:
 def _judged(
     methods: Mapping[str, Method], test: Measurements, best: str | None
 ) -> tuple[dict[str, Figures], dict[str, Coverage]]:
-    """Return the methods' figures on test rows, and how their bounds cover the misses."""
+    """Figures on test rows, and the coverage of the bounds."""
     found, coverage, bounds = {}, {}, {}
     for name, method in methods.items():
         predicted = Predicted.by(method, test)
@@ -527,7 +511,9 @@ def _judged(
 
 
 def _refuse_undetermined(test: Measurements, miss_mm: Array, bound_mm: Array) -> None:
-    """Refuse test rows that the training rows say nothing about: other turns, off the one line."""
+    """Refuse test rows that the training rows do not determine: other orientations, off
+    one line.
+    """
     bad = np.flatnonzero(~(bound_mm <= UNDETERMINED_MM))
     if len(bad):
         rest = "no other row is left"
@@ -545,7 +531,7 @@ def _refuse_undetermined(test: Measurements, miss_mm: Array, bound_mm: Array) ->
 def _refuse_contradicting(
     test: Measurements, chosen: str, found: Coverage, figures: Figures
 ) -> None:
-    """Refuse test rows that the bounds do not hold for: corrections would be as wrong."""
+    """Refuse test rows that violate the bounds: corrections would be as wrong."""
     if not found["share"] >= LEAST_INSIDE:
         raise FitError(
             f"{test.source}: {found['share']:.1%} of {len(test)} rows are within the 95 % bounds "
@@ -557,7 +543,7 @@ def _refuse_contradicting(
 
 
 def worse_than_nominal(chosen: str, judged: Mapping[str, Figures]) -> str:
-    """Return why nominal positions are kept: the choice misses the test rows by more; "" else."""
+    """Why nominal positions are used: the choice predicts the test rows worse; "" otherwise."""
     mean_mm, nominal_mm = judged[chosen].mean, judged[NOMINAL].mean
     if chosen == NOMINAL or mean_mm < nominal_mm:
         return ""
@@ -578,7 +564,7 @@ def _outliers(method: Method, left_out: Measurements) -> list[Outlier]:
 
 
 def _refuse_few_poses(rows: Measurements, left_out: int = 0) -> None:
-    """Refuse targets of too few poses to leave a fifth out; ``left_out``: outliers."""
+    """Refuse too few poses for cross-validation; ``left_out``: outliers."""
     pose, fold = pose_numbers(rows.joints_rad), pose_folds(rows.joints_rad)
     for target, _ in reversed(Counter(rows.target).most_common()):
         own = rows.of(target)
@@ -597,7 +583,7 @@ def _refuse_few_poses(rows: Measurements, left_out: int = 0) -> None:
 
 
 def _order(rows: Measurements) -> Ints:
-    """Return an order of the rows (N,), of theirs only for a target that is measured again."""
+    """An order of the rows (N,); a re-measured target is grouped by its own rows only."""
     joints, target = rows.joints_rad, np.array(rows.target)
     pose = np.array(rows.pose)
     return np.lexsort((target, pose, *joints.T[::-1], places_of(joints)))

@@ -1,7 +1,7 @@
 """Base and reflectors of a measured robot, by nominal kinematics.
 
-Rows that nominal kinematics miss absurdly are another robot's, or in other units. Suppositions
-that would make them fit are tried, and the one that does is named.
+Rows far off nominal kinematics are of another robot or in other units: likely mistakes are tried,
+and the one that explains the rows is named.
 """
 
 from __future__ import annotations
@@ -51,22 +51,22 @@ class Placement:
     smr_mm: Mapping[str, Array]
 
     def nominal(self, rows: Measurements) -> Array:
-        """Return the rows' nominal poses (N, 4, 4) in {B}: each reflector, turned as the flange."""
+        """Nominal poses (N, 4, 4) in {B}: each reflector, oriented as the flange."""
         refuse_unknown_targets(rows, self.smr_mm)
         offsets_mm = np.array([self.smr_mm[target] for target in rows.target])
         flange = forward(self.arm, rows.joints_rad)
         return matrix(flange[:, :3, :3], apply_each(flange, offsets_mm))
 
     def predicted_mm(self, rows: Measurements) -> Array:
-        """Return the rows' nominal positions (N, 3) in the tracker's frame."""
+        """Nominal positions (N, 3) in the tracker's frame."""
         return apply(self.T_L_B, self.nominal(rows)[:, :3, 3])
 
     def miss_mm(self, rows: Measurements) -> Array:
-        """Return how far the rows are from their nominal positions (N,)."""
+        """Distances from nominal positions (N,)."""
         return statistics.lengths_mm(rows.xyz_mm - self.predicted_mm(rows))
 
     def relabelled(self, rows: Measurements, half_mm: float) -> Iterator[str]:
-        """Yield which reflectors must be swapped for rows to fit a placement that is known."""
+        """Yield reflectors whose swap would make rows match a known placement."""
         names = sorted(self.smr_mm)
         most_reflectors = 4  # of which all permutations are tried
         if not 1 < len(names) <= most_reflectors:
@@ -81,7 +81,7 @@ class Placement:
 
 
 def place(arm: Arm, rows: Measurements) -> Placement:
-    """Find base and reflectors by Gauss-Newton on soft-L1 weighted rows; raises `FitError`."""
+    """Estimate base and reflectors by Gauss-Newton with soft-L1 weights; raises `FitError`."""
     try:
         placement, step = _placed(arm, rows)
     except FrameError as error:
@@ -98,7 +98,7 @@ def place(arm: Arm, rows: Measurements) -> Placement:
 
 
 def refuse_unknown_targets(rows: Measurements, known: Collection[str]) -> None:
-    """Refuse rows of targets that no training row measures."""
+    """Refuse targets that no training row measures."""
     for target in sorted(set(rows.target).difference(known)):
         raise FitError(
             f"{rows.where(rows.of(target))}: no training row measures target {target}; correct its "
@@ -107,7 +107,7 @@ def refuse_unknown_targets(rows: Measurements, known: Collection[str]) -> None:
 
 
 def refuse_another_robot(placement: Placement, rows: Measurements) -> None:
-    """Refuse rows half of which miss absurdly: their robot, joint signs or units are others."""
+    """Refuse rows of which half are far off: another robot, other joint signs or units."""
     half_mm = float(np.median(placement.miss_mm(rows)))
     if not half_mm <= ABSURD_MM:
         fitting = _fitting(placement.arm, rows, half_mm, np.median)
@@ -122,7 +122,7 @@ def refuse_another_robot(placement: Placement, rows: Measurements) -> None:
 def _fitting(
     arm: Arm, rows: Measurements, size_mm: float, of: Callable[[Array], float]
 ) -> Iterator[str]:
-    """Yield what would make rows fit that miss by ``size_mm``, the likeliest first."""
+    """Yield corrections that explain rows off by ``size_mm``, the likeliest first."""
     for says, changed in _suppositions(rows):
         with suppress(HilcellError):
             left_mm = float(of(_placed(arm, changed)[0].miss_mm(changed)))
@@ -131,8 +131,8 @@ def _fitting(
 
 
 def supposition(arm: Arm, rows: Measurements, worst_mm: float, bad: Iterable[int]) -> str:
-    """Return what would make all rows fit of which ``bad`` miss absurdly, by up to ``worst_mm``;
-    "" where nothing does.
+    """Correction that explains all rows, ``bad`` among them, off by up to ``worst_mm``; "" for
+    none.
     """
     most_tried = 500  # rows by which a supposition is judged
     some = range(0, len(rows), len(rows) // most_tried + 1)
@@ -165,7 +165,7 @@ def _suppositions(rows: Measurements) -> Iterator[tuple[str, Measurements]]:
 
 
 def _placed(arm: Arm, rows: Measurements) -> tuple[Placement, float]:
-    """Return base and reflectors, and the size of the last step."""
+    """Base and reflectors, and the size of the last step."""
     targets = sorted(set(rows.target))
     least = 3 + len(targets)
     if not len(rows) >= least:
@@ -185,7 +185,6 @@ def _placed(arm: Arm, rows: Measurements) -> tuple[Placement, float]:
 
 
 def _first(flange_mm: Array, rows: Measurements) -> Array:
-    """Return a base (4, 4) to begin with; on one line its turn about the line is arbitrary."""
     xyz_mm = rows.xyz_mm
     names = f"{rows.source}: nominal positions", f"{rows.source}: measured positions"
     try:
@@ -210,7 +209,7 @@ def _first(flange_mm: Array, rows: Measurements) -> Array:
 def _improved(
     T: Array, smr: Array, flange: Array, which: Array, measured: Array
 ) -> tuple[Array, Array, float]:
-    """Return base (4, 4), reflectors (K, 3) and the step's size after one Gauss-Newton step."""
+    """Base (4, 4), reflectors (K, 3) and the step's size after one Gauss-Newton step."""
     found = apply(T, apply_each(flange, smr[which]))
     middle = found.mean(axis=0)
     left = measured - found

@@ -1,8 +1,7 @@
-"""The arm that DH rows and URDF can state, and its files: link parameters alone.
+"""The arm as DH rows or URDF describe it, and its files: link parameters alone.
 
-It is the method `mdh` of a fit, identified by itself, without gravity and waves. The links of a
-model that has gravity too are others, and without it they would leave the mean deflection as an
-error.
+It is the method `mdh` of a fit, without gravity: the links of a model with gravity would leave the
+mean deflection as an error.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ class Parameter:
 
     @property
     def determined(self) -> bool:
-        """Return whether the poses say more about it than the prior, by itself."""
+        """Whether the poses determine it better than the prior."""
         return self.u < DETERMINED * self.prior_u
 
 
@@ -51,8 +50,8 @@ class Parameter:
 class RigidArm:
     """The identified ``arm``; ``T_L_B`` (4, 4): its base in the tracker's frame.
 
-    ``smr_mm``: reflectors (3,) on the flange. ``covariance`` (30, 30) is the parameters', in their
-    units. ``figures`` are of what the arm leaves at training poses left out in turn.
+    ``smr_mm``: reflectors (3,) on the flange; ``covariance`` (30, 30) in the parameters' units;
+    ``figures``: residuals at training poses left out in sequence.
     """
 
     arm: Arm
@@ -64,7 +63,7 @@ class RigidArm:
 
 
 def rigid_arm(fit: RobotFit) -> RigidArm:
-    """Return the arm that a fit identified by link parameters alone; raises `FitError`."""
+    """The arm identified by link parameters alone; raises `FitError`."""
     nominal = fit.robot.arm
     units = {"mm": ("mm", 1.0), "rad": ("deg", float(np.degrees(1.0)))}
     fitted = fit.methods.get(RIGID)
@@ -152,7 +151,7 @@ def _numbers(values_mm: Array) -> str:
 
 
 def alone(figures: Figures) -> list[str]:
-    """Return what a URDF or a DH table leaves out, and what it leaves, in lines."""
+    """Lines for people: what a URDF or DH table omits, and the residual."""
     unsaid = "It cannot state deflection by gravity, waves of the gears and the residual model."
     misses = f"mean {figures.mean:.4f}, p95 {figures.p95:.4f}, max {figures.max:.4f} mm"
     return [

@@ -1,8 +1,7 @@
 """Files of ``hilcell fit``: a robot's nominal kinematics and measured targets.
 
-``robot.toml``: standard DH rows, ``Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha)``. Measurements: one
-row a measured target, with commanded joints and the position in the tracker's frame. Joints
-read back while the robot moves spoil a fit; give the commanded ones.
+``robot.toml``: standard DH rows, ``Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha)``. Measurements need
+commanded joints: those read back from a moving robot spoil a fit.
 """
 
 from __future__ import annotations
@@ -33,9 +32,9 @@ Angle = Annotated[float, Meta(ge=-MOST_DEG, le=MOST_DEG)]
 class Robot:
     """A robot's nominal kinematics.
 
-    ``arm`` has its tool point on the flange behind the sixth row, ``base`` (4, 4) is its
-    base in the robot's root frame, ``tool`` (4, 4) on the flange the frame that targets are meant
-    for. The joints' limits (2, 6) are infinite where none are stated.
+    ``arm`` has its tool point on the flange behind the sixth row; ``base`` (4, 4) in the robot's
+    root frame; ``tool`` (4, 4) on the flange, the frame of the targets. Joint limits (2, 6),
+    infinite where none are given.
     """
 
     name: str
@@ -46,7 +45,7 @@ class Robot:
 
     @classmethod
     def from_dh(cls, name: str, rows: ArrayLike, sign: ArrayLike = 1.0) -> Self:
-        """Return a robot of standard DH rows (6, 4): a_mm, alpha_deg, d_mm, offset_deg.
+        """Robot of standard DH rows (6, 4): a_mm, alpha_deg, d_mm, offset_deg.
 
         Row n is ``Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha)``; ``sign`` (6,) is -1 for a joint that
         counts backwards. Raises `ValueError`.
@@ -63,7 +62,7 @@ class Robot:
         return cls(name, arm_from_joints(joints, np.eye(4)))
 
     def poses(self, joints_rad: ArrayLike) -> Array:
-        """Return the tool's frames (N, 4, 4) in the root frame, mm, at nominal joints (N, 6)."""
+        """Tool frames (N, 4, 4) in the root frame, mm, at nominal joints (N, 6)."""
         arm = replace(self.arm, tool=self.tool)
         return self.base @ forward(arm, np.asarray(joints_rad, dtype=float))
 
@@ -123,10 +122,10 @@ class Measurements:
         target: str | Sequence[str] = "SMR",
         pose: Sequence[str] | None = None,
     ) -> Self:
-        """Return measurements of arrays: commanded joints (N, 6), positions (N, 3).
+        """Measurements from arrays: commanded joints (N, 6), positions (N, 3).
 
-        ``target`` names the reflector of all rows, or of each; ``pose`` (N) labels rows measured
-        in one pose, each its own by default. Raises `ValueError`.
+        ``target`` names the reflector of all rows, or of each; ``pose`` (N) labels rows measured in
+        one pose, each its own by default. Raises `ValueError`.
         """
         joints, xyz = np.array(joints_rad, dtype=float), np.array(xyz_mm, dtype=float)
         for name, values, width in (("joints_rad", joints, 6), ("xyz_mm", xyz, 3)):
@@ -144,7 +143,7 @@ class Measurements:
 
     @classmethod
     def unmeasured(cls, joints_rad: Array, target: str) -> Self:
-        """Return rows of a reflector at joints (N, 6) whose positions are to be predicted."""
+        """Rows of a reflector at joints (N, 6) whose positions are to be predicted."""
         labels = list(map(str, range(len(joints_rad))))
         return cls(labels, [target] * len(labels), joints_rad, np.full((len(labels), 3), np.nan))
 
@@ -152,7 +151,6 @@ class Measurements:
         return len(self.pose)
 
     def where(self, rows: Iterable[int]) -> str:
-        """Return where these rows are, for messages: the source, with their lines if known."""
         lines = sorted(self.lines[n] for n in rows) if self.lines else []
         if not lines:
             return self.source
@@ -164,7 +162,7 @@ class Measurements:
         return [n for n, each in enumerate(self.target) if each == target]
 
     def once(self) -> Measurements:
-        """Return the rows without copies: no reading repeats joints and position exactly."""
+        """The rows without duplicates: no reading repeats joints and position exactly."""
         values = np.column_stack([self.joints_rad, self.xyz_mm]).tolist()
         first: dict[tuple[object, ...], int] = {}
         for n, (target, row) in enumerate(zip(self.target, values, strict=True)):
@@ -197,8 +195,8 @@ def read_dh(path: Path) -> Robot:
 def read_measurements(path: Path | str) -> Measurements:
     """Read measured targets, the CSV of ``hilcell fit --train``.
 
-    Its columns are pose, target, j1_deg .. j6_deg as commanded, x_mm, y_mm, z_mm in the tracker's
-    frame. Raises `SettingsError` naming the lines that are not good.
+    Columns: pose, target, j1_deg .. j6_deg as commanded, x_mm, y_mm, z_mm in the tracker's frame.
+    Raises `SettingsError` naming the invalid lines.
     """
     path = Path(path)
     text = CsvText.read(path, read_file(path), LABELS)
@@ -225,7 +223,6 @@ def read_measurements(path: Path | str) -> Measurements:
 
 
 def _numbers(cells: list[str], text: CsvText) -> list[float]:
-    """Return the nine numbers of a line; raises ValueError."""
     if len(cells) != len(HEADER):
         more = text.surplus(len(cells), len(HEADER))
         raise ValueError(f"{len(cells)} fields, expected {len(HEADER)}{more}")

@@ -1,16 +1,12 @@
-"""URDF files: the six-axis arm in one, and the same file with another arm in it.
+"""URDF files: read the six-axis arm, and write the file with another arm.
 
-URDF has metres and radians; beyond this module are mm. The chain leads from the root link to
-one tip: six revolute joints, any number of fixed ones. A joint's frame in a `Chain` includes the
-fixed joints before it; when a chain is written, these keep their origins.
+URDF has metres and radians, the rest of the program mm. A joint's frame in a `Chain` includes the
+fixed joints before it, which keep their origins when a chain is written.
 
-In a chain each joint has an origin, its frame at q = 0 in the link before, and an axis in that
-frame: ``T = O_1 Rot(axis_1, q_1) ... O_6 Rot(axis_6, q_6) tip``. Every chain is an `Arm` between a
-base and a tool frame, exactly. Row i carries axis i into axis i + 1 (row 6: into the tip's z). Two
-lines have a common normal, which standard DH follows with beta = 0; it runs off to infinity as they
-become parallel. There Hayati's form takes over, in which d is free: the row meets the next axis at
-the next joint's origin. A chain has more numbers than its motion needs: an arm that returns has
-its frames elsewhere on the same axes, and `Chain.beside` puts them near the nominal ones.
+``T = O_1 Rot(axis_1, q_1) ... O_6 Rot(axis_6, q_6) tip``: every chain is exactly an `Arm` between
+base and tool frame. Row i carries axis i into axis i + 1 (row 6: into the tip's z), by standard DH
+with beta = 0, or by Hayati's form near parallel axes, where the common normal runs off to infinity.
+A chain is not unique: `Chain.beside` puts frames near the nominal ones.
 """
 
 from __future__ import annotations
@@ -44,7 +40,9 @@ class NotUrdf(ValueError):
 
 @dataclass(slots=True)
 class JointText:
-    """A joint: attributes of its parts by name, each once; ``tag_end`` and ``origin`` are bytes."""
+    """A joint: attributes of its elements by name, each once; ``tag_end`` and ``origin``
+    are bytes.
+    """
 
     name: str
     kind: str
@@ -53,14 +51,14 @@ class JointText:
     origin: tuple[int, int] | None = None
 
     def end(self, part: str) -> str:
-        """Return its link of that part, "parent" or "child"; raises `NotUrdf`."""
+        """Link of "parent" or "child"; raises `NotUrdf`."""
         link = self.parts.get(part, {}).get("link", "")
         if not link:
             raise NotUrdf(f"joint {self.name or '(without a name)'} states no {part} link")
         return link
 
     def numbered(self, problems: list[str]) -> tuple[Array, Array, tuple[float, float]]:
-        """Return a joint's origin (4, 4) in mm, unit axis (3,) and limits in rad."""
+        """Origin (4, 4) in mm, unit axis (3,) and limits in rad."""
         least_axis = 1e-6
         most_rotation_rad = (
             2.0 * np.pi + 0.01
@@ -99,9 +97,8 @@ class JointText:
 
 
 class UrdfText:
-    """The bytes of a URDF, the robot's name, where its tag ends, and the joints directly in it.
-
-    Raises `NotUrdf`.
+    """The bytes of a URDF, the robot's name, the end of its tag, and its joints; raises
+    `NotUrdf`.
     """
 
     SPACE = re.compile(rb"\s*")
@@ -150,14 +147,13 @@ class UrdfText:
         raise NotUrdf(f"has a document type, <!DOCTYPE {name}; entities are refused")
 
     def _end(self, pattern: re.Pattern[bytes], at: int) -> int:
-        """Return where a pattern ends that matches at a place."""
         match = pattern.match(self.content, at)
         return match.end() if match else at
 
     def with_origins(
         self, origins: Sequence[tuple[JointText, str]], comment: Sequence[str]
     ) -> bytes:
-        """Return the file with other ``<origin>`` tags at joints, and a comment at its head."""
+        """The file with other ``<origin>`` tags at joints, and a comment at its head."""
         edits = [(self.tag_end, self.tag_end, _comment(comment))]
         for joint, tag in origins:
             if joint.origin is not None:
@@ -190,7 +186,7 @@ class UrdfText:
 
 
 def _comment(lines: Sequence[str]) -> bytes:
-    """Return an XML comment, in which two hyphens must not follow each other."""
+    """XML comment; two hyphens must not follow each other."""
     text = "\n    ".join(re.sub("-(?=-)", "- ", line) for line in lines)
     return f"\n  <!-- {text} -->".encode("ascii", "replace")
 
@@ -203,7 +199,7 @@ REVOLUTE = ("revolute", "continuous")
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Urdf(Robot):
-    """A robot in a URDF, by the chain from ``root`` to ``tip``, for which targets are meant."""
+    """A robot in a URDF: the chain from ``root`` to ``tip``, the link of the targets."""
 
     root: str
     tip: str
@@ -213,15 +209,13 @@ class Urdf(Robot):
     steps: Array = field(repr=False)  # their origins (J, 4, 4), mm
 
     def left_at_tip(self, chain: Chain) -> Array:
-        """Return the frame (4, 4) of a chain's tip in the tip link of the file that it is put into.
-
-        The identity, unless the tip is the sixth joint's own link: no joint is left there that
-        could carry a tip of its own.
+        """Frame (4, 4) of a chain's tip in the tip link of the file that receives it. The identity,
+        unless the tip is the sixth joint's own link: no joint is left to carry a tip.
         """
         return np.eye(4) if self._fixed_at_tip else chain.tip
 
     def with_chain(self, chain: Chain, comment: Sequence[str]) -> bytes:
-        """Return the file with the origins of a chain of its axes, see `Chain.beside`."""
+        """The file with the origins of a chain of its axes, see `Chain.beside`."""
         origins, done = [], np.eye(4)
         origin = iter(chain.origins)
         for joint, step in zip(self.joints, self.steps, strict=True):
@@ -240,7 +234,7 @@ class Urdf(Robot):
 
     @property
     def _fixed_at_tip(self) -> int:
-        """Return how many fixed joints follow the sixth."""
+        """Number of fixed joints after the sixth."""
         last = max(n for n, joint in enumerate(self.joints) if joint.kind in REVOLUTE)
         return len(self.joints) - 1 - last
 
@@ -306,7 +300,6 @@ def read_urdf(path: Path, tip: str = "") -> Urdf:
 
 
 def _chain_to(tip: str, text: UrdfText) -> list[JointText]:
-    """Return the joints to a tip, or to the only one that six revolute joints lead to."""
     parents, links = ({joint.end(end) for joint in text.joints} for end in ("parent", "child"))
     links |= parents
     if tip and tip not in links:
@@ -338,7 +331,7 @@ def _joints_to(tip: str, above: Mapping[str, JointText]) -> list[JointText]:
 
 
 def _unfit(joints: list[JointText]) -> str:
-    """Return why joints are no arm of six revolute joints, or nothing."""
+    """Why joints are no arm of six revolute joints, or ""."""
     moving = [joint for joint in joints if joint.kind != "fixed"]
     strange = [f"{joint.name} ({joint.kind})" for joint in moving if joint.kind not in REVOLUTE]
     mimics = [joint.name for joint in moving if "mimic" in joint.parts]
@@ -372,18 +365,17 @@ def _vector(
 
 
 def _origin_tag(step: Array) -> str:
-    """Return ``<origin xyz="..." rpy="..."`` of a frame (4, 4) in mm, without its end."""
+    """``<origin xyz="..." rpy="..."`` of a frame (4, 4) in mm, without its end."""
     angles_rad = np.radians(zyx_from_pose(step)[:2:-1])
     return f'<origin xyz="{_row(step[:3, 3] / MM)}" rpy="{_row(angles_rad)}"'
 
 
 def _row(values: Array) -> str:
-    """Return numbers with 12 decimals: 1e-9 mm, and 1e-12 rad."""
     return " ".join(f"{value:z.12f}".rstrip("0").rstrip(".") for value in values)
 
 
 def urdf_of(name: str, chain: Chain, comment: Sequence[str]) -> bytes:
-    """Return a URDF of a chain: links base_link, link_1 .. link_6, tool0; no shapes, no limits."""
+    """URDF of a chain: links base_link, link_1 .. link_6, tool0; no shapes, no limits."""
     links = ["base_link", *(f"link_{n}" for n in range(1, 7)), "tool0"]
     lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(clean(name))}>"]
     lines += [f'  <link name="{link}"/>' for link in links]
@@ -417,7 +409,7 @@ class Chain:
 
     @property
     def frames(self) -> Array:
-        """Return the joints' frames and the tip's in the root link at q = 0, (7, 4, 4)."""
+        """Frames of joints and tip in the root link at q = 0, (7, 4, 4)."""
         frames = [self.origins[0]]
         for step in (*self.origins[1:], self.tip):
             frames.append(frames[-1] @ step)
@@ -425,7 +417,7 @@ class Chain:
 
     @classmethod
     def of_joints(cls, steps: Array, turning: list[int], axes: Array) -> Self:
-        """Return the chain of the origins (J, 4, 4) of all joints, of which some turn."""
+        """Chain of the origins (J, 4, 4) of all joints, the ``turning`` ones revolute."""
         frames, done = [], np.eye(4)
         for number, step in enumerate(steps):
             done = done @ step
@@ -436,14 +428,14 @@ class Chain:
 
     @classmethod
     def of(cls, base: Array, arm: Arm) -> Self:
-        """Return the chain that moves as ``base @ forward(arm, q)``; its axes are z or -z."""
+        """Chain that moves as ``base @ forward(arm, q)``; its axes are z or -z."""
         links = link_transforms(arm, np.zeros(6))
         axes = np.zeros((6, 3))
         axes[:, 2] = arm.sign
         return cls(np.concatenate([base[None], links[:5]]), axes, links[5] @ arm.tool)
 
     def arm(self) -> tuple[Array, Arm]:
-        """Return base (4, 4) and arm: ``base @ forward(arm, q)`` is the chain's tip in its root."""
+        """Base (4, 4) and arm: ``base @ forward(arm, q)`` is the chain's tip in its root."""
         frames = self.frames
         along = np.vstack([self.axes, Z])
         base = frame = frames[0] @ matrix(_turn(Z, self.axes[0]), np.zeros(3))
@@ -455,10 +447,10 @@ class Chain:
         return base, _arm(rows, inverse(frame) @ frames[6])
 
     def beside(self, nominal: Chain) -> Chain:
-        """Return a chain that moves as this one, with axes of ``nominal`` and frames near its own.
+        """Chain of the same motion with axes and frames near those of ``nominal``.
 
-        Each joint's frame is the nominal one, turned the least that brings its axis parallel to the
-        other one, and shifted the least that brings its origin onto it.
+        Each frame is the nominal one, rotated by the least angle that makes the axes parallel, and
+        shifted by the least distance that puts its origin onto the axis.
         """
         found, near = self.frames, nominal.frames
         frames = found.copy()
@@ -480,9 +472,8 @@ def _arm(rows: Array, tool: Array) -> Arm:
 
 
 def _dh_row(point_mm: Array, along: Array) -> tuple[float, float, float, float, float]:
-    """Return theta, d, a, alpha, beta of the row that carries the z axis into a line.
-
-    The line is given by a point (3,) on it and its unit direction (3,), in the row's frame.
+    """Theta, d, a, alpha, beta of the row that carries the z axis into a line. The line: a point
+    (3,) and a unit direction (3,), in the row's frame.
     """
     no_length_mm = 1e-10  # rounding, whose direction means nothing
     if not np.hypot(along[0], along[1]) > NEARLY_PARALLEL:
@@ -506,14 +497,14 @@ def _dh_row(point_mm: Array, along: Array) -> tuple[float, float, float, float, 
 
 
 def _seen_along(theta: float, vector: Array) -> tuple[float, float, float]:
-    """Return a vector (3,) in a frame that is rotated about z by ``theta``."""
+    """A vector (3,) in a frame rotated about z by ``theta``."""
     c, s = np.cos(theta), np.sin(theta)
     x, y, z = vector
     return float(c * x + s * y), float(c * y - s * x), float(z)
 
 
 def _turn(start: Array, end: Array) -> Array:
-    """Return a rotation (3, 3) from one unit vector (3,) to another, the smallest up to 90 deg."""
+    """The smallest rotation (3, 3) from one unit vector (3,) to another, up to 90 deg."""
     cosine = float(start @ end)
     if cosine < 0.0:
         aside = np.cross(start, np.eye(3)[np.argmin(np.abs(start))])

@@ -1,1 +1,1 @@
-"""The nouns of the program, as a journal holds them; every room reads these types."""
+"""Types of a run's data, as stored in its journal; every other package reads them."""

@@ -31,10 +31,10 @@ class Device(msgspec.Struct, frozen=True):
 
 
 class Update(msgspec.Struct, frozen=True):
-    """A change by a later run, from so many points.
+    """A change by a later run, measured at this number of points.
 
-    ``motion`` (6,) is that of the base: shift of {B}'s origin (mm) and rotation vector (rad), axes
-    of the {B} before, ``covariance`` (6, 6) its own.
+    ``motion`` (6,), of the base: shift of {B}'s origin (mm) and rotation vector (rad), axes of the
+    former {B}; ``covariance`` (6, 6) of it.
     """
 
     run: str
@@ -46,12 +46,12 @@ class Update(msgspec.Struct, frozen=True):
 
 
 class Provenance(msgspec.Struct, frozen=True):
-    """Where the calibration comes from, and whether its sign was proven on the cell.
+    """Origin of a calibration, and whether its sign was verified on the cell.
 
-    ``points`` are the journal's keys of the grid, ``scores`` mean, p95 and max (mm) by which each
-    candidate's cross-validation was judged. ``run`` is the one that measured the model, ``updates``
-    are later ones, and ``written`` is when the last of them changed it. ``links`` are those with
-    which the controller solves Cartesian points: the cell file's, or of its own factory.
+    ``points``: journal keys of the grid; ``scores``: mean, p95 and max (mm) of each candidate's
+    cross-validation. ``run`` measured the model, ``updates`` are later runs, ``written`` is the
+    last change. ``links``: those with which the controller solves Cartesian points, from the cell
+    file or its own factory.
     """
 
     run: str
@@ -72,16 +72,14 @@ class Provenance(msgspec.Struct, frozen=True):
 
     @property
     def latest(self) -> str:
-        """Return the run that wrote the file."""
         return self.updates[-1].run if self.updates else self.run
 
     @property
     def named(self) -> str:
-        """Return the run that wrote the file, and the one that measured the model."""
+        """The run that wrote the file, and the one that measured the model."""
         based = f" (based on run {self.run})" if self.updates else ""
         return f"run {self.latest}{based}"
 
     @property
     def is_of_visit(self) -> bool:
-        """Whether its last change is a base that was touched on one visit of a station."""
         return bool(self.updates) and self.updates[-1].what == "touch"

@@ -1,6 +1,4 @@
-"""The events of a run, each with its fields and its words: a union with the tag ``what``.
-
-An event is declared here and nowhere else; one without a type, as a plug-in has, is an
+"""Events of a run: a union with the tag ``what``. An event without a type, as of a plug-in, is an
 `OtherEvent`.
 """
 
@@ -24,9 +22,8 @@ URAD = 1e6
 
 
 class Event(msgspec.Struct, frozen=True, kw_only=True, tag_field="what"):
-    """Something worth knowing. ``title`` is its name where the tag is no words for people.
-
-    ``says`` is all of its text where a format of its fields can say it.
+    """An event; ``title`` is its name where the tag is not readable; ``says`` a format of its
+    fields.
     """
 
     title: ClassVar[str] = ""
@@ -38,14 +35,13 @@ class Event(msgspec.Struct, frozen=True, kw_only=True, tag_field="what"):
 
     @property
     def subject(self) -> str:
-        """Return the point (by its key), station or run that it is about; "" for none."""
+        """Its point (by key), station or run; "" for none."""
         return next(
             (getattr(self, name) for name in SUBJECTS if name in self.__struct_fields__), ""
         )
 
     @property
     def why(self) -> str:
-        """Return its reason; "" for none."""
         return str(getattr(self, "reason", ""))
 
     @property
@@ -73,7 +69,7 @@ class OtherEvent(msgspec.Struct, frozen=True):
 
 
 def after(reason: str) -> str:
-    """Return a reason as it follows what it is the reason of."""
+    """A reason, formatted to follow a sentence."""
     return f": {reason}" if reason else ""
 
 
@@ -155,7 +151,7 @@ class LinkCounted(Event, frozen=True, kw_only=True, tag="link"):
     held_by_sdo: int = 0
 
     def followed_by(self, later: LinkCounted) -> LinkCounted:
-        """Return the counts of both; the later one states how the slide was held."""
+        """Combined counts; the later ones state how the slide was held."""
         counts = ("frames", "bad_lines", "refused", "malformed")
         sums = {name: getattr(self, name) + getattr(later, name) for name in counts}
         return msgspec.structs.replace(later, **sums)
@@ -171,7 +167,6 @@ class LinkCounted(Event, frozen=True, kw_only=True, tag="link"):
 
     @property
     def warning(self) -> str:
-        """Return the warning that so much was lost; "" where the link is well."""
         if self.lost_share < self.LOSSY:
             return ""
         return (
@@ -252,9 +247,8 @@ class CommandRefused(Event, frozen=True, kw_only=True, tag="command refused"):
 
 
 class AlarmsAcknowledged(Event, frozen=True, kw_only=True, tag="acknowledged"):
-    """An operator has acknowledged the alarms of these codes raised up to record ``until``.
-
-    The codes are stored beside the last record shown: an alarm may have no record (0).
+    """An operator acknowledged these alarm codes, raised up to record ``until``. An alarm may have
+    no record (0).
     """
 
     title: ClassVar[str] = "alarms acknowledged:"
@@ -266,7 +260,7 @@ class AlarmsAcknowledged(Event, frozen=True, kw_only=True, tag="acknowledged"):
         return ", ".join(self.codes)
 
     def refusal(self, newest: int) -> str:
-        """Return why a run whose newest record is ``newest`` refuses it; "" where it does not."""
+        """Why a run whose newest record is ``newest`` refuses it; "" where it does not."""
         if not self.codes:
             return "acknowledge: expected codes of alarms, got none"
         if not 1 <= self.until <= newest:
@@ -300,10 +294,8 @@ class EarlierRunUnreadable(Reasoned, frozen=True, kw_only=True, tag="earlier run
 
 
 class ReadingTime(msgspec.Struct, frozen=True, omit_defaults=True):
-    """When a reading was taken, in s of the PC's monotonic clock, and its age when it was used.
-
-    ``ended_s`` is when the motion before it had ended by the readings. Times of one session can be
-    compared with each other, and with nothing else.
+    """Time of a reading, in s of the PC's monotonic clock, and its age when used. ``ended_s``: the
+    end of the preceding motion by the readings. Comparable within one session only.
     """
 
     taken_s: float
@@ -461,12 +453,11 @@ class StreamRecorded(OfPoint, frozen=True, kw_only=True, tag="stream"):
 
 
 class CurveMeasured(Event, frozen=True, kw_only=True, tag="curve"):
-    """Figures of the transmission of one axis, 1 to 6.
+    """Transmission error of one axis, 1 to 6.
 
-    ``reason`` is empty where there is a curve. ``amplitude_rad`` are cosine and sine of each of
-    ``cycles`` per revolution, ``covariance_rad2`` theirs alternately. ``shown`` is for pictures:
-    joint in deg, short-wave error as measured and by the curve in urad; ``spectrum`` cycles and
-    urad.
+    ``reason`` is empty where there is a curve. ``amplitude_rad``: cosine and sine of each of
+    ``cycles`` per revolution; ``covariance_rad2`` in the same order. ``shown`` is for plots: joint
+    in deg, short-wave error as measured and by the curve in urad; ``spectrum`` in cycles and urad.
     """
 
     says: ClassVar[str] = "curve of {0.summary}"
@@ -491,12 +482,12 @@ class CurveMeasured(Event, frozen=True, kw_only=True, tag="curve"):
 
     @property
     def holds(self) -> bool:
-        """Whether there is a curve; one without any line states that the gear has none."""
+        """Whether there is a curve; one without lines means a gear without error."""
         return not self.reason
 
     @property
     def amplitudes_urad(self) -> list[float]:
-        """Return the size of each line (K,)."""
+        """Amplitude of each line (K,)."""
         return [URAD * sqrt(cosine**2 + sine**2) for cosine, sine in self.amplitude_rad]
 
     @property

@@ -16,9 +16,8 @@ Matrix = list[list[float]]
 
 
 class Frame(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A homogeneous matrix (4, 4) in {W}, and its own covariance (6, 6): shift (mm), turn (rad).
-
-    One that was taken over has no more than that, and the run of its ``calibration``.
+    """A homogeneous matrix (4, 4) in {W} and its covariance (6, 6): shift (mm), rotation (rad). A
+    frame from an earlier calibration has only these, and the run of its ``calibration``.
     """
 
     matrix: Matrix
@@ -28,14 +27,13 @@ class Frame(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def T(self) -> Array:  # noqa: N802 - the paper's symbol
-        """Return the matrix (4, 4)."""
         import numpy as np  # most readers of a journal do without arrays
 
         return np.array(self.matrix, dtype=float)
 
     @property
     def C(self) -> Array:  # noqa: N802 - the paper's symbol
-        """Return the covariance (6, 6), 0 where none is known."""
+        """Covariance (6, 6), 0 where unknown."""
         import numpy as np
 
         return np.array(self.covariance, dtype=float) if self.covariance else np.zeros((6, 6))
@@ -59,8 +57,8 @@ class MeasuredStation(Frame, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class TouchedBase(Frame, frozen=True, kw_only=True, omit_defaults=True):
-    """{B} as touched on one visit of a station, how far it was moved at the cube's centre, and its
-    uncertainty there. ``growth`` is the arm's since the grid; ``pull`` and ``misfit`` are in sigma.
+    """{B} touched on one visit of a station: its shift at the cube's centre and the uncertainty
+    there. ``growth``: of the arm since the grid; ``pull`` and ``misfit`` in sigma.
     """
 
     visit: int
@@ -78,7 +76,7 @@ class TouchedBase(Frame, frozen=True, kw_only=True, omit_defaults=True):
 
 
 def frame_type(key: str) -> type[Frame]:
-    """Return the type of a key's frame that was measured."""
+    """The type of a measured frame, by its key."""
     if key == "base":
         return MeasuredBase
     kinds: dict[str, type[Frame]] = {"station": MeasuredStation, "touch": TouchedBase}
@@ -86,5 +84,4 @@ def frame_type(key: str) -> type[Frame]:
 
 
 def decode_frame(key: str, body: Json) -> Frame:
-    """Return a frame of its plain body; raises `msgspec.ValidationError`."""
     return typed(body, Frame if "calibration" in body else frame_type(key))

@@ -1,8 +1,8 @@
-"""Figures against their limits, and the outcomes of that: one rule and one enum for all rooms.
+"""Decision rule for figures against limits, and its outcomes.
 
-A guard band as wide as the expanded uncertainty U (k = 2) is taken off each limit (ISO 14253-1;
-JCGM 106:2012, 8.3.2): conformity is shown where value + U keeps the limit, the contrary where
-value - U is above it, and in between neither is.
+Each limit is reduced by a guard band of the expanded uncertainty U, k = 2 (ISO 14253-1; JCGM
+106:2012, 8.3.2): accepted where value + U is within the limit, rejected where value - U exceeds it,
+undecided in between.
 """
 
 from __future__ import annotations
@@ -19,10 +19,8 @@ RULE = (
 
 
 class Outcome(StrEnum):
-    """The outcome of a figure, a point, a station or a run, the gravest first.
-
-    ``text`` and ``short`` are for people, ``decision`` names the uncertainty as well,
-    ``decided`` is the text between a figure and its limit.
+    """Outcome of a figure, point, station or run, the worst first. ``text`` and ``short`` are for
+    people, ``decision`` names the uncertainty as well, ``decided`` joins a figure and its limit.
     """
 
     text: str
@@ -33,7 +31,6 @@ class Outcome(StrEnum):
     def __new__(
         cls, value: str, text: str = "", short: str = "", decision: str = "", decided: str = ""
     ) -> Self:
-        """Make a member of its value in JSON and its texts."""
         member = str.__new__(cls, value)
         member._value_, member.text, member.short = value, text, short
         member.decision, member.decided = decision, decided
@@ -57,21 +54,19 @@ class Outcome(StrEnum):
 
 
 def gravest(outcomes: Iterable[Outcome]) -> Outcome:
-    """Return the gravest of outcomes, accepted where there is none."""
     return min(outcomes, key=list(Outcome).index, default=Outcome.ACCEPTED)
 
 
 def outcome_of(value: float, limit: float, U: float) -> Outcome:
-    """Return the decision on one value, all in one unit; NaN is rejected."""
+    """Decision on one value, all in one unit; NaN is rejected."""
     if value <= limit - U:
         return Outcome.ACCEPTED
     return Outcome.UNDECIDED if value <= limit + U else Outcome.REJECTED
 
 
 class Figure(NamedTuple):
-    """A value, its U (k = 2) and the limit that both together must keep, in ``unit``.
-
-    A value that is not known is None; it keeps no limit. ``form`` is that of value and U.
+    """A value, its U (k = 2) and its limit, in ``unit``; None, an unknown value, fails
+    every limit.
     """
 
     name: str
@@ -83,7 +78,7 @@ class Figure(NamedTuple):
 
     @property
     def outcome(self) -> Outcome:
-        """Return the decision; NaN is rejected, a value without a limit accepted."""
+        """The decision; NaN is rejected, a value without a limit accepted."""
         if self.limit is None:
             return Outcome.ACCEPTED
         value = math.nan if self.value is None else self.value

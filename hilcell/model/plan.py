@@ -15,7 +15,7 @@ from hilcell.model.frame import Frame
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """Measurements alike in a row, how many and how long in all; none: the motion to the next."""
+    """Consecutive measurements of one kind: how many, total time; none: the motion to the next."""
 
     kind: str
     measured: int  # with those of control points, which no plan counts as points
@@ -23,7 +23,7 @@ class Span:
 
     @property
     def each_s(self) -> float:
-        """Return how long one measurement takes, or the motion."""
+        """Time of one measurement, or of the motion."""
         return self.duration_s / max(1, self.measured)
 
 
@@ -44,12 +44,12 @@ class PlannedStep:
 
 
 class PreviousReference(msgspec.Struct, frozen=True):
-    """Floor nests of an earlier run of the cell: places in the tracker's frame of then, mm. Its
-    base at the grid's station, None where that is another one, and its slide at stations.
+    """Floor nests of an earlier run: positions in its tracker frame (mm), its base and slide
+    frames.
 
-    ``alike``: the base was measured with the same robot on the same circles. ``frames_c`` is the
-    air's temperature of base and slide, where another run measured them than the nests.
-    ``visits_mm`` are clouds of places of the same grid that this robot visited repeatedly.
+    The base is at the grid's station, None where that has changed. ``alike``: same robot, same
+    circles. ``frames_c``: air temperature of base and slide where another run measured these.
+    ``visits_mm``: positions of the same grid that this robot visited repeatedly.
     """
 
     run: str
@@ -63,10 +63,8 @@ class PreviousReference(msgspec.Struct, frozen=True):
 
 
 class FolderOrder(msgspec.Struct, frozen=True):
-    """Which session of its folder of runs one is: ``number`` 1, 2, .. and the run before.
-
-    ``folder`` is drawn with the first number, and "" where none was ever taken. ``after`` is "" for
-    the first run.
+    """A session's place in its folder of runs: ``number`` 1, 2, .. and the run before, "" for none.
+    ``folder`` is drawn with the first number, "" where none was taken.
     """
 
     folder: str = ""

@@ -1,4 +1,4 @@
-"""A point: which measurement it is, as data, and what was measured, raw."""
+"""A point: the identity of a measurement, and its raw data."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _GROUPS = {  # not named by their fields
 
 
 class Sent(StrEnum):
-    """How a target is sent, in the order of sending: as it is, corrected by the paper's method, by
-    the chosen model. The value is the key in `PointId.how` and in results.
+    """How a target is sent, in order: nominal, corrected by the paper's method, by the chosen
+    model. The value is the key in `PointId.how` and in results.
     """
 
     BEFORE = "before"
@@ -40,7 +40,6 @@ class Sent(StrEnum):
 
     @property
     def short(self) -> str:
-        """Return it in few letters."""
         return "paper" if self is Sent.IDW else self.text
 
 
@@ -57,7 +56,7 @@ HOW: dict[str, str] = {  # texts of `PointId.how` and `PointId.direction`
 
 
 class Kind(NamedTuple):
-    """A kind of points: one of them, one in few letters, and all of them, as they are counted."""
+    """Names of a kind of points: singular, short, and plural."""
 
     one: str
     short: str
@@ -98,12 +97,12 @@ KINDS = {
 
 
 class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
-    """The identity of a point. A field that does not identify it stays empty.
+    """The identity of a point; a field that does not identify it is empty.
 
-    ``station`` is set where the same thing is measured at several stations; ``side`` is +1 for an
-    approach from above, -1 from below; ``target`` is a reflector that the cell file does not know.
-    ``visit`` is the `Log.visit` of a point that holds for one stop of the slide only. ``seat`` is 2
-    or more where it is not the tool point that is measured, but another reflector on the flange.
+    ``station``: where several stations have the same point; ``side``: +1 for an approach from
+    above, -1 from below; ``target``: a reflector missing in the cell file; ``visit``: the
+    `Log.visit` of a point valid for one stop of the slide only; ``seat``: 2 or more for a reflector
+    other than the tool point.
     """
 
     kind: str
@@ -126,7 +125,7 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def key(self) -> str:
-        """Return the point's name for people, files and commands: ``validate/S300/idw/012``."""
+        """Name for people, files and commands: ``validate/S300/idw/012``."""
         parts = (
             self.station,
             self.visit is not None and f"v{self.visit}",
@@ -146,7 +145,6 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def group(self) -> str:
-        """Return the name under which points are counted: ``validate_idw``."""
         if self.kind in _GROUPS:
             return _GROUPS[self.kind]
         place = "" if self.place is None else str(self.place)
@@ -156,7 +154,7 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
         )
 
     def at_seat(self, seat: int) -> PointId:
-        """Return the identity of the same pose's reflector, numbered from 1, the tool point."""
+        """The same pose's reflector, numbered from 1, the tool point."""
         return msgspec.structs.replace(self, seat=None if seat == 1 else seat)
 
     @property
@@ -164,9 +162,8 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
         return "" if self.axis is None else f"axis{self.axis}"
 
     def text(self, station: str = "") -> str:
-        """Return it in words: *corrected target 50 at S300*, targets count from 1.
-
-        ``station``: where it was measured, if the identity does not say it.
+        """Label: *corrected target 50 at S300*; targets count from 1. ``station``: where it was
+        measured, if the identity does not say it.
         """
         at = self.station or station
         where = f" at {at}" if at else ""
@@ -184,7 +181,6 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def short(self) -> str:
-        """Return it in few letters, without its station: *corrected 50*."""
         how = Sent(self.how).short if self.how in list(Sent) else self.how
         if self.kind in ("validate", "sign"):
             return f"sign {how}" if self.kind == "sign" else f"{how} {self._counted}"
@@ -192,7 +188,7 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def counted_with(self) -> str:
-        """Return the points that are counted with this one: *targets, corrected*."""
+        """Plural label of its kind: *targets, corrected*."""
         parts = (
             self._kind.all,
             "" if self.place is None else f"place {self.place + 1}",
@@ -205,7 +201,7 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def part(self) -> str:
-        """Return the part of a step that it is of: *corrected targets at S300*; "" for none."""
+        """Label of its group within a step: *corrected targets at S300*; "" for none."""
         if self.group == CONTROL:
             return "floor nests" if self.kind == CONTROL else "slide nests"
         targets = f"{HOW.get(self.how, self.how)} targets " if self.kind == "validate" else ""
@@ -213,7 +209,6 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def _kind(self) -> Kind:
-        """Return the kind's words; a plug-in may have one of its own."""
         return KINDS.get(self.kind, Kind(self.kind, self.kind, self.kind))
 
     @property
@@ -224,7 +219,6 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def _which(self) -> str:
-        """Return all of it that is not its kind or its station."""
         parts = (
             self.nest,
             self.target,
@@ -240,9 +234,8 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class Readings(msgspec.Struct, frozen=True, omit_defaults=True):
-    """The times of the readings that make a point.
-
-    ``began`` is the rail's by which the robot's motion to it began, aged as it was at the command.
+    """Times of the readings of a point. ``began``: the rail reading that admitted the robot's
+    motion, with its age at the command.
     """
 
     tracker: ReadingTime
@@ -252,18 +245,18 @@ class Readings(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def settled_s(self) -> float | None:
-        """Return how long slide and robot had been at rest; None where neither has moved."""
+        """Time that slide and robot had been at rest; None where neither has moved."""
         both = (self.rail, self.robot)
         ends_s = [each.ended_s for each in both if each is not None and each.ended_s is not None]
         return self.tracker.taken_s - max(ends_s) if ends_s else None
 
 
 class Point(msgspec.Struct, frozen=True, kw_only=True):
-    """One acknowledged measurement, raw, with all that is needed to use it later.
+    """One acknowledged measurement, raw, with everything needed to evaluate it later.
 
-    ``xyz_mm`` is the mean of ``samples``, in the frame of the tracker's first set-up,
-    ``nominal_mm`` the nominal target in {W} and ``nominal_deg`` its angles A, B, C, where the
-    orientation was measured; joints in deg. Its record also has the controller's pose.
+    ``xyz_mm``: mean of ``samples``, in the frame of the tracker's first set-up; ``nominal_mm``:
+    nominal target in {W}; ``nominal_deg``: its angles A, B, C, where orientation was measured;
+    joints in deg. The controller's pose is in its record.
     """
 
     id: PointId
@@ -292,7 +285,7 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def air(self) -> Air | None:
-        """Return the air at the tracker, or None where no weather station measured it."""
+        """Air at the tracker; None without a weather station."""
         measured = (self.temperature_c, self.pressure_mbar, self.humidity_percent)
         known = [each for each in measured if each is not None]
         if len(known) < len(measured):

@@ -1,7 +1,5 @@
-"""The records of a journal: each kind as a type, decoded from its plain JSON.
-
-A record is what was acknowledged: it is never changed. Its fact is made of it when it is first
-asked for: most readers use a few kinds only.
+"""Records of a journal: each kind as a type, decoded from JSON on first use. A record is
+acknowledged and never changed.
 """
 
 from __future__ import annotations
@@ -58,7 +56,7 @@ PASSING: tuple[RunState, ...] = ("pausing", "aborting")  # the key ``pausing`` o
 
 
 class StateChanged(msgspec.Struct, frozen=True, kw_only=True):
-    """A machine has gone from one state to another; ``by`` says what made a waiting run go on."""
+    """A transition of a state machine; ``by``: what resumed a waiting run."""
 
     machine: str
     before: str = field(name="from", default="")
@@ -84,8 +82,7 @@ class Change(NamedTuple):
 
 class SeenBefore(msgspec.Struct, frozen=True, kw_only=True):
     """The reading that admits a motion: of the robot for the slide's, of the rail for the robot's.
-
-    Times in s of the PC's monotonic clock; ``age_s`` is that when the motion was journalled.
+    Times in s of the PC's monotonic clock; ``age_s``: its age when the motion was journalled.
     """
 
     taken_s: float
@@ -98,11 +95,10 @@ class SeenBefore(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Intended(msgspec.Struct, frozen=True, kw_only=True):
-    """A motion that is about to begin: where to, and the reading that admits it.
+    """A motion about to begin: its target, and the reading that admits it.
 
-    A slide goes to a ``station`` by the strip or to ``position_mm`` by its drive; the robot goes to
-    ``joints_deg`` with the slide at ``strip_mm``, straight from ``from_deg`` where that is not
-    empty.
+    A slide goes to a ``station`` by the strip or to ``position_mm`` by its drive; the robot to
+    ``joints_deg`` with the slide at ``strip_mm``, straight from ``from_deg`` unless that is empty.
     """
 
     action: str = ""
@@ -118,7 +114,7 @@ class Intended(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Ended(msgspec.Struct, frozen=True, kw_only=True):
-    """A session has ended, with an exit code and its procedure's result, or the reason of none."""
+    """A session has ended, with an exit code and its procedure's result, or why it has none."""
 
     state: str
     exit: int
@@ -138,7 +134,6 @@ Fact: TypeAlias = (
 
 
 def fact_of(kind: Kind, key: str, body: Json) -> Fact:
-    """Return a record's content as its type; raises `msgspec.ValidationError`."""
     match kind:
         case "event":
             return decode_event(body)
@@ -159,7 +154,6 @@ def fact_of(kind: Kind, key: str, body: Json) -> Fact:
 
 
 def decode_event(body: Json) -> Event | OtherEvent:
-    """Return an event of its plain fields; raises `msgspec.ValidationError`."""
     what = str(body["what"])
     if what in EVENTS:
         return typed(body, EVENTS[what])

@@ -1,4 +1,4 @@
-"""The results of acts that several rooms read, each with its names in JSON."""
+"""Results of steps that several packages read, with their names in JSON."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from hilcell.model.suspicion import Suspicion
 
 
 class StepResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """Figures of an act; those that the run does not have are None, and no keys in JSON."""
+    """Figures of a step; None is omitted from JSON."""
 
 
 # -- validation ------------------------------------------------------------------------------------
 
 
 class OrientationFigures(StepResult, frozen=True, kw_only=True):
-    """Errors of orientation, deg."""
+    """Orientation errors, deg."""
 
     mean_deg: float
     p95_deg: float
@@ -30,8 +30,8 @@ class OrientationFigures(StepResult, frozen=True, kw_only=True):
 
 
 class SentErrors(StepResult, frozen=True, kw_only=True):
-    """3D errors (mm) of targets that were sent alike; their mean 95 % bound, and the share of them
-    that keeps its own.
+    """3D errors (mm) of targets sent alike, their mean 95 % bound, and the share within its own
+    bound.
     """
 
     mean: float
@@ -43,14 +43,14 @@ class SentErrors(StepResult, frozen=True, kw_only=True):
 
 
 class Floor(StepResult, frozen=True, kw_only=True):
-    """The errors (mm) that a perfect correction leaves."""
+    """Errors (mm) that a perfect correction leaves."""
 
     mean: float
     p95: float
 
 
 class OrientationBounds(StepResult, frozen=True, kw_only=True):
-    """95 % bounds of corrected orientations, deg, and the share of targets that keeps them."""
+    """95 % bounds of corrected orientations, deg, and the share of targets within them."""
 
     coverage: float
     mean_deg: float
@@ -58,7 +58,7 @@ class OrientationBounds(StepResult, frozen=True, kw_only=True):
 
 
 class TargetBounds(StepResult, frozen=True, kw_only=True):
-    """95 % bounds of corrected targets, mm, and the share of targets that keeps them."""
+    """95 % bounds of corrected targets, mm, and the share of targets within them."""
 
     coverage: float
     mean_mm: float
@@ -67,7 +67,7 @@ class TargetBounds(StepResult, frozen=True, kw_only=True):
 
 
 class Decided(StepResult, frozen=True, kw_only=True):
-    """The decision of a quick plan, after how many targets at each station, and its risks."""
+    """Decision of a quick plan, the number of targets at each station, and its risks."""
 
     outcome: Outcome
     targets: list[int]
@@ -94,7 +94,6 @@ class Place(StepResult, frozen=True, kw_only=True):
 
     @property
     def sent(self) -> Mapping[Sent, SentErrors]:
-        """Return the errors in the order of sending."""
         errors = {Sent.BEFORE: self.before, Sent.IDW: self.idw, Sent.CHOSEN: self.chosen}
         return {how: each for how, each in errors.items() if each is not None}
 
@@ -140,8 +139,8 @@ class WithU(StepResult, frozen=True, kw_only=True):
 
 
 class SurveyedRail(StepResult, frozen=True, kw_only=True):
-    """The rail's error (mm) over its nominal position (mm), ``forth`` and ``back``, and what makes
-    it up; straightness is peak to peak, angles (mrad) are those of each stop against the first.
+    """The rail's error (mm) over its nominal position (mm), ``forth`` and ``back``, and its
+    components. Straightness is peak to peak; angles (mrad) are relative to the first stop.
     """
 
     curve: dict[str, list[Pair]]
@@ -153,8 +152,8 @@ class SurveyedRail(StepResult, frozen=True, kw_only=True):
 
 
 class FramesRepeated(StepResult, frozen=True, kw_only=True):
-    """How far slide points are from their places at the reference, by station, seen in the base
-    frame and in the station frame; the ratio of both root mean squares, and its 95 % interval.
+    """Distances of slide points from their reference by station, in base and station frame. Also
+    the ratio of both root mean squares, and its 95 % interval.
     """
 
     base: dict[str, list[float]]
@@ -165,8 +164,8 @@ class FramesRepeated(StepResult, frozen=True, kw_only=True):
 
 
 class PaperRow(StepResult, frozen=True, kw_only=True):
-    """A figure of the paper beside the run's own. ``fails`` is the mistake that fails it; one that
-    the cell file or the simulated machine brings about is ``set``, and cannot fail.
+    """A figure of the paper beside the run's own. ``fails``: the mistake that fails it; ``set``:
+    determined by cell file or simulated machine, cannot fail.
     """
 
     row: str
@@ -185,6 +184,6 @@ class PaperRow(StepResult, frozen=True, kw_only=True):
 
     @property
     def shown(self) -> float | str:
-        """Return the run's figure for a person; the digits of round-off differ between PCs."""
+        """The run's figure, rounded: the digits of round-off differ between PCs."""
         round_off = 1e-9  # below it a figure is zero but for the arithmetic
         return f"< {round_off:g}" if 0.0 < abs(self.here) < round_off else self.here

@@ -1,4 +1,4 @@
-"""Causes of errors that nothing else explains, and a suspicion of one."""
+"""Suspected causes of unexplained errors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hilcell.decoding import Json, typed
 
 
 class Cause(StrEnum):
-    """A cause in words."""
+    """A cause as text."""
 
     TRACKER_MOVED = "tracker moved"
     MOUNT_SLIPPED = "mount slipped"
@@ -32,14 +32,14 @@ class Cause(StrEnum):
 
     @property
     def advice(self) -> str:
-        """Return what to do with a calibration whose run lets suspect the cause."""
+        """What to do with a calibration whose run suspects this cause."""
         if self is Cause.CHANGED_SINCE:
             return "`hilcell revoke` the wrong one of both calibrations."
         return "Do not use this calibration."
 
 
 class Suspicion(msgspec.Struct, frozen=True):
-    """A cause that fits, its size, and the comparison by which it was noticed."""
+    """A matching cause, its size, and the comparison that detected it."""
 
     cause: Cause
     size: float
@@ -61,8 +61,8 @@ class Suspicion(msgspec.Struct, frozen=True):
 
 
 def blamed(facts: Json) -> Json:
-    """Return the result of a run that ended with an error of these facts: the cause, where its
-    fields are those of a `Suspicion`.
+    """Result of a run that ended with an error; with the cause, where its fields form a
+    `Suspicion`.
     """
     try:
         found = typed(facts.get("fields", {}), Suspicion)

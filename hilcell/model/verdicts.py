@@ -1,8 +1,8 @@
-"""The verdicts of a run: each subject once, with its figures, their limits and its words.
+"""Verdicts of a run: figures, limits and texts.
 
-The fields are the body of its record and of every JSON; screen, report, alarms and `hilcell run`
-take ``figures``, ``words`` and ``why`` and know no verdict by name. One without a type, as a
-plug-in has, is an `OtherVerdict`.
+The fields are the body of its record and of every JSON. Screen, report, alarms and `hilcell run`
+use ``figures``, ``words`` and ``why`` of any verdict; one without a type, as of a plug-in, is an
+`OtherVerdict`.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ UNITS = {
 
 
 class Verdict(msgspec.Struct, frozen=True, kw_only=True):
-    """A judgement; one that does not hold makes the run's exit code 1.
+    """A judgement; one that fails makes the run's exit code 1.
 
-    ``keys`` are those of its records, one that ends with a dot or a blank begins them. ``title`` is
-    the subject where the key is no words for people.
+    ``keys``: of its records, or their prefix where one ends with a dot or a blank. ``title``: its
+    subject where the key is not readable.
     """
 
     keys: ClassVar[tuple[str, ...]] = ()
@@ -40,7 +40,6 @@ class Verdict(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def figures(self) -> Sequence[Figure]:
-        """Return the figures that it rests on."""
         return ()
 
     @property
@@ -64,9 +63,7 @@ class Verdict(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def why(self) -> str:
-        """Return what decided: causes, else what is ``wrong``, else figures that do not keep their
-        limit, else all.
-        """
+        """The causes, else the ``wrong``, else the figures beyond their limit, else all figures."""
         failed = [each.why for each in self.figures if each.outcome is self.outcome]
         wrong: Sequence[str] = getattr(self, "wrong", ())
         return "; ".join(self.suspects or wrong or ([] if self.holds else failed)) or self.text
@@ -106,8 +103,8 @@ def _plain(name: str, value: object) -> str:
 
 
 class Limits(NamedTuple):
-    """Limits of mean and largest 3D error, mm, and of the largest error of orientation, deg; None
-    where that is not judged.
+    """Limits of mean and largest 3D error (mm) and largest orientation error (deg, None: not
+    judged).
     """
 
     mean_mm: float
@@ -116,17 +113,17 @@ class Limits(NamedTuple):
 
 
 class OrientationError(NamedTuple):
-    """The largest error of orientation and its expanded uncertainty, deg."""
+    """The largest orientation error and its expanded uncertainty, deg."""
 
     max_deg: float
     U_deg: float
 
 
 class Judged(Verdict, frozen=True, kw_only=True, omit_defaults=True):
-    """Mean and largest error of targets, as verdicts in journals and calibration files have them.
+    """Mean and largest error of targets, as in journals and calibration files.
 
-    Orientation has figures where it was judged; null, a NaN in JSON, is None. ``decision`` is the
-    rule's, or that of another test that had to accept as well.
+    Orientation has figures where it was judged; NaN is null in JSON and None here. ``decision``: of
+    the rule, or of another test that had to accept as well.
     """
 
     keys: ClassVar[tuple[str, ...]] = (VALIDATION, "targets")
@@ -144,7 +141,7 @@ class Judged(Verdict, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def figures(self) -> Sequence[Figure]:
-        """Return mean and largest error, and that of orientation where it was judged."""
+        """Mean and largest error, and the orientation error where it was judged."""
         both = (
             Figure("mean", self.mean_mm, "mm", self.mean_tolerance_mm, self.mean_U_mm),
             Figure("largest error", self.max_mm, "mm", self.max_tolerance_mm, self.max_U_mm),
@@ -156,7 +153,6 @@ class Judged(Verdict, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def outcome(self) -> Outcome:
-        """Return the outcome that was decided."""
         return self.decided
 
     def _text(self) -> str:
@@ -164,7 +160,6 @@ class Judged(Verdict, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def why(self) -> str:
-        """Return the figures that decided against it; where none of them did, the decision."""
         failed = [each.why for each in self.figures if each.outcome is self.outcome]
         return ("" if self.holds else "; ".join(failed)) or self.decision
 
@@ -174,9 +169,7 @@ class Judged(Verdict, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def orientation(self) -> OrientationError | None:
-        """Return the orientation that was judged, None where it was not; a figure that is not known
-        is NaN.
-        """
+        """The judged orientation error, None where not judged; an unknown figure is NaN."""
         if self.max_tolerance_deg is None:
             return None
         both = (self.max_deg, self.max_U_deg)
@@ -194,7 +187,6 @@ class Characteristic(NamedTuple):
 
     @property
     def limit(self) -> str:
-        """Return its limit's name in the cell file, in results and in verdicts."""
         return f"{self.key}_limit_{self.unit}"
 
 
@@ -209,9 +201,8 @@ ISO = "iso9283"  # kind of the points, key of result and verdict
 
 
 class PoseTested(Verdict, frozen=True, kw_only=True, omit_defaults=True):
-    """The characteristics of ISO 9283 that have a limit, each where it is worst, and U (k = 2).
-
-    One that was not measured is None: it keeps no limit.
+    """Characteristics of ISO 9283 with a limit, each at its worst, and U (k = 2). None, not
+    measured, fails its limit.
     """
 
     keys: ClassVar[tuple[str, ...]] = (ISO,)
@@ -237,7 +228,6 @@ class PoseTested(Verdict, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def figures(self) -> Sequence[Figure]:
-        """Return those that have a limit."""
         found = []
         for of in CHARACTERISTICS:
             names = (f"{of.key}_{of.unit}", of.limit, f"{of.key}_u95_{of.unit}")
@@ -248,7 +238,7 @@ class PoseTested(Verdict, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Oriented(Verdict, frozen=True, kw_only=True):
-    """Whether a corrected orientation is better than before, and the reflectors stayed."""
+    """Whether a corrected orientation is better than before, and the reflectors did not move."""
 
     keys: ClassVar[tuple[str, ...]] = ("orientation",)
     before_mean_deg: float
@@ -267,7 +257,7 @@ class Oriented(Verdict, frozen=True, kw_only=True):
 
 
 class CurvesUsed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Whether the sweeps' curves are used and why: mean misses (mm) of poses left out."""
+    """Whether the sweeps' curves are used, and why: mean error (mm) at poses left out."""
 
     used: bool
     reason: str
@@ -276,9 +266,8 @@ class CurvesUsed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Fitted(Verdict, frozen=True, kw_only=True, omit_defaults=True):
-    """The error model that was chosen, by cross-validation: mean, p95 and max (mm) of each.
-
-    ``orientation`` is the use of the tool's orientation, where that was measured.
+    """The error model chosen by cross-validation: mean, p95 and max (mm) of each. ``orientation``:
+    the use of the tool's orientation, where measured.
     """
 
     keys: ClassVar[tuple[str, ...]] = ("fit",)
@@ -314,8 +303,8 @@ class SignChecked(Verdict, frozen=True, kw_only=True):
 
 
 class Rechecked(Verdict, frozen=True, kw_only=True):
-    """Whether the calibration in use still holds, by a few poses; ``doubt`` explains them as well
-    as a moved base.
+    """Whether the calibration in use is still valid, by a few poses. ``doubt``: explains them as
+    well as a moved base does.
     """
 
     keys: ClassVar[tuple[str, ...]] = ("recheck",)
@@ -346,8 +335,8 @@ class Touched(Verdict, frozen=True, kw_only=True):
 
 
 class Revisited(Verdict, frozen=True, kw_only=True):
-    """Poses against their first visits: chi^2 per degree of freedom of the test nearest to its
-    limit, and the cause that fits.
+    """Poses against their first visits: chi^2 per degree of freedom of the test nearest
+    its limit.
     """
 
     keys: ClassVar[tuple[str, ...]] = ("revisits", "revisits.closing")
@@ -368,7 +357,7 @@ class Revisited(Verdict, frozen=True, kw_only=True):
 
 
 class LostMotionJudged(Verdict, frozen=True, kw_only=True):
-    """Vertices approached from both sides: the lost motion of axes 1 to 3, and its U (k = 2)."""
+    """Lost motion of axes 1 to 3, by vertices approached from both sides, and its U (k = 2)."""
 
     keys: ClassVar[tuple[str, ...]] = ("reversal",)
     title: ClassVar[str] = "lost motion of axes 1 to 3"
@@ -381,7 +370,7 @@ class LostMotionJudged(Verdict, frozen=True, kw_only=True):
 
     @property
     def excess_urad(self) -> list[float]:
-        """Return by how much each axis loses more than the limit, for certain."""
+        """Lost motion of each axis beyond limit and U."""
         both = zip(self.lost_urad, self.U_urad, strict=True)
         return [abs(lost) - U - self.limit_urad for lost, U in both]
 
@@ -407,8 +396,8 @@ class Suspected(Verdict, frozen=True, kw_only=True):
 
 
 class Parameter(msgspec.Struct, frozen=True):
-    """A coordinate in {W} as both calibrations have it. A turn is that of now against then, so it
-    was 0 then. ``limit`` is U of the difference.
+    """A coordinate in {W} in both calibrations; a rotation is relative to the former one, there 0.
+    ``limit`` is U of the difference.
     """
 
     name: str
@@ -419,7 +408,6 @@ class Parameter(msgspec.Struct, frozen=True):
 
     @property
     def holds(self) -> bool:
-        """Whether chance explains the difference; NaN is none."""
         return abs(self.now - self.then) <= self.limit
 
     @property
@@ -459,17 +447,15 @@ class MeasuredLength(msgspec.Struct, frozen=True):
 
     @property
     def off_ppm(self) -> float:
-        """Return how much longer it was measured."""
         return 1e6 * (self.found_mm / self.wanted_mm - 1.0)
 
     @property
     def share(self) -> float:
-        """Return the difference as a share of U."""
+        """The difference as a share of U."""
         return abs(self.found_mm - self.wanted_mm) / self.U_mm
 
     @property
     def holds(self) -> bool:
-        """Whether certificate and tracker explain the difference."""
         return self.share <= 1.0
 
     @property
@@ -481,7 +467,7 @@ class MeasuredLength(msgspec.Struct, frozen=True):
 
 
 class LengthsChecked(Verdict, frozen=True, kw_only=True):
-    """Certified lengths against the tracker's scale; ``wrong`` are those that differ, in words."""
+    """Certified lengths against the tracker's scale; ``wrong``: those that differ, as text."""
 
     keys: ClassVar[tuple[str, ...]] = ("known-length",)
     lengths: list[MeasuredLength]
@@ -492,7 +478,7 @@ class LengthsChecked(Verdict, frozen=True, kw_only=True):
 
 
 class Faces(msgspec.Struct, frozen=True):
-    """Half the difference of both faces at a nest, sideways and downwards, and its limit."""
+    """Half the difference between both faces at a nest, sideways and downwards, and its limit."""
 
     nest: str
     across_mm: float
@@ -505,7 +491,6 @@ class Faces(msgspec.Struct, frozen=True):
 
     @property
     def holds(self) -> bool:
-        """Whether tracker and noise explain the difference."""
         return self.off_mm <= self.limit_mm
 
 
@@ -523,9 +508,7 @@ class FacesCompared(Verdict, frozen=True, kw_only=True):
 
 
 class MeasuredReflector(msgspec.Struct, frozen=True):
-    """The reflector of a place: how far from the median of the others, along the beam and across
-    it, and its limit.
-    """
+    """A reflector's distance from the others' median, along and across the beam, and its limit."""
 
     place: str
     along_mm: float
@@ -534,7 +517,6 @@ class MeasuredReflector(msgspec.Struct, frozen=True):
 
     @property
     def holds(self) -> bool:
-        """Whether centring and noise explain it."""
         return math.hypot(self.along_mm, self.across_mm) <= self.limit_mm
 
     @property
@@ -546,7 +528,7 @@ class MeasuredReflector(msgspec.Struct, frozen=True):
 
 
 class ReflectorsCompared(Verdict, frozen=True, kw_only=True):
-    """Each reflector in one nest against the others; ``wrong`` are those that differ, in words."""
+    """Each reflector in one nest against the others; ``wrong``: those that differ, as text."""
 
     keys: ClassVar[tuple[str, ...]] = ("reflectors",)
     reflectors: list[MeasuredReflector]
@@ -572,7 +554,7 @@ class Within(Verdict, frozen=True, kw_only=True):
 
 
 class Backlash(Within, frozen=True, kw_only=True):
-    """The rail's backlash, which has to be above its limit for certain to fail."""
+    """The rail's backlash; fails only where it exceeds its limit by more than U."""
 
     keys: ClassVar[tuple[str, ...]] = ("backlash",)
     title: ClassVar[str] = "backlash of the rail"
@@ -588,7 +570,7 @@ class StripRepeats(Within, frozen=True, kw_only=True):
 
 
 class DriverConforms(Verdict, frozen=True, kw_only=True):
-    """A driver keeps what its port promises; ``broken`` are the promises that it does not."""
+    """Whether a driver conforms to its port; ``broken``: the broken promises."""
 
     keys: ClassVar[tuple[str, ...]] = ("conformance ",)
     driver: str
@@ -616,7 +598,6 @@ def verdict_type(key: str) -> type[Verdict] | None:
 
 
 def decode_verdict(key: str, body: Json) -> Verdict:
-    """Return a verdict of its plain body; raises `msgspec.ValidationError`."""
     kind = verdict_type(key)
     if kind is not None:
         return typed(body, kind)
@@ -625,7 +606,7 @@ def decode_verdict(key: str, body: Json) -> Verdict:
 
 
 def verdict_title(key: str) -> str:
-    """Return the subject of a verdict: *re-check*."""
+    """The subject of a verdict: *re-check*."""
     kind = verdict_type(key)
     title = (kind.title if kind is not None else "") or key.replace("-", " ")
     return f"{title} at the end" if key.endswith(".closing") else title

@@ -1,8 +1,8 @@
-"""Where a device is reached: ``socket://HOST:PORT``, or a serial line as ``PATH[@BAUD]``.
+"""Addresses of devices: ``socket://HOST:PORT``, or a serial line as ``PATH[@BAUD]``.
 
-A wire has a name within its device: "" for ``channel``, or for ``host`` with ``port``; ``rtde`` for
-``rtde_port``; ``strip`` for that of a part with a table of its own. Within its cell the name begins
-with the device's: ``rail``, ``rail.strip``, ``robot.rtde``.
+A wire's name within its device: "" for ``channel``, or ``host`` with ``port``; ``rtde`` for
+``rtde_port``; ``strip`` for that of a sub-table. Within the cell it begins with the device's name:
+``rail``, ``rail.strip``, ``robot.rtde``.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class SerialLine(Struct, frozen=True, tag=True):
 
 
 def parse_channel(channel: str) -> Socket | SerialLine:
-    """Return the place of a channel; raises `ValueError` for one of neither form."""
+    """Parse a channel; raises `ValueError`."""
     if "://" in channel:
         url = urlsplit(channel)
         try:
@@ -67,7 +67,7 @@ def parse_channel(channel: str) -> Socket | SerialLine:
 
 
 def wire_places(options: Mapping[str, object]) -> dict[str, Socket | SerialLine]:
-    """Return the places of wires by name; a CAN interface of the kernel is left out."""
+    """Addresses of wires by name; a CAN interface of the kernel is left out."""
     places: dict[str, Socket | SerialLine] = {}
     host, channel = options.get("host"), options.get("channel")
     for key, value in options.items():
@@ -82,7 +82,7 @@ def wire_places(options: Mapping[str, object]) -> dict[str, Socket | SerialLine]
 
 
 def with_addresses(options: Mapping[str, object], channels: Mapping[str, str]) -> Json:
-    """Return options whose wires lead to ``channels``."""
+    """Options whose wires lead to ``channels``."""
     found = dict(options)
     for name, channel in channels.items():
         (key, _, rest), place = name.partition("."), parse_channel(channel)
@@ -101,7 +101,7 @@ def is_can_interface(options: Mapping[str, object]) -> bool:
 
 
 def can_interfaces(options: Mapping[str, object]) -> list[str]:
-    """Return the CAN interfaces of the kernel that a device, or a part of it, is reached by."""
+    """CAN interfaces of the kernel used by a device."""
     parts = [part for part in options.values() if isinstance(part, Mapping)]
     return [str(part["channel"]) for part in (options, *parts) if is_can_interface(part)]
 

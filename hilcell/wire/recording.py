@@ -1,18 +1,14 @@
 """Recordings of wires: JSON lines, one for each piece of bytes, with its time.
 
 ``{"t": 1.234567, "c": 1, "e": ">", "b": "0100000e..", "k": "9d3f0a51"}``: seconds since the
-recording of all wires began, the number of the connection, what happened, the bytes in hex, and the
-CRC-32 of all that. ``>`` went to the device, ``<`` came from it; ``open``, ``end`` (by the driver),
-``lost`` (by the device) and ``refused`` carry no bytes. A recording may be packed by ``xz``.
+recording of all wires began, number of the connection, event, bytes in hex, CRC-32 of all that.
+``>`` went to the device, ``<`` came from it; ``open``, ``end`` (by the driver), ``lost`` (by the
+device) and ``refused`` carry no bytes; ``began``, with the wire's name, is the first line. Files
+are named by device and wire, ``robot.rtde.wire.jsonl``, and may be packed by ``xz``.
 
-A recording is named by its device and its wire: ``robot.wire.jsonl``, ``robot.rtde.wire.jsonl``.
-The first line of a wire is ``began``, with its name; a wire that was never opened has no other.
-
-The cell's clock is recorded like a wire: ``now`` is a reading of it. Its first line is ``run``, the
-recorded run's `RunHeader` as JSON. ``stopped`` is when the run had to stop; all later pieces belong
-to its stop. ``over`` is the last line, with the run's exit code; a run that was killed has none.
-
-``run --record-wire`` reaches each device of a cell through a `hilcell.wire.relay`.
+The cell's clock is recorded like a wire: first ``run``, the run's `RunHeader`; ``now`` is a
+reading; pieces after ``stopped`` belong to the stop of the run; ``over`` ends it, with the exit
+code; a killed run has none.
 """
 
 from __future__ import annotations
@@ -61,7 +57,6 @@ class Piece(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @classmethod
     def of(cls, t: float, c: int, e: Event, data: bytes = b"") -> Self:
-        """Return a piece with its check."""
         piece = cls(t, c, e, data.hex())
         return msgspec.structs.replace(piece, k=piece.check)
 
@@ -76,7 +71,7 @@ class Piece(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class RunHeader(msgspec.Struct, frozen=True):
-    """The recorded run, and which of its sessions: a resumed run has several."""
+    """The recorded run and its session: a resumed run has several."""
 
     run: str
     procedure: str
@@ -90,7 +85,7 @@ class Recorder:
     """Writes one recording; thread-safe. A full disk ends the recording, not the wire."""
 
     def __init__(self, file: IO[bytes], began_s: float) -> None:
-        """``began_s`` (monotonic) is when the recording of all wires began."""
+        """``began_s`` (monotonic): begin of the recording of all wires."""
         self._file: IO[bytes] | None = file
         self._lock = threading.Lock()
         self._began_s = began_s
@@ -152,20 +147,19 @@ class RecordingClock:
             raise
 
     def now_s(self) -> float:
-        """Return the cell's time, which never runs back."""
+        """The cell's time, which never runs back."""
         now_s = self._clock.now_s()
         self._recorder.record(0, "now", _TIME.pack(now_s))
         return now_s
 
 
 def clock_readings(pieces: Iterable[Piece]) -> tuple[list[float], list[float]]:
-    """Return the times of the recording at which the cell's clock was read, and its readings, s."""
     readings = [(piece.t, _TIME.unpack(piece.data)[0]) for piece in pieces if piece.e == "now"]
     return [at_s for at_s, _ in readings], [cell_s for _, cell_s in readings]
 
 
 def run_header(clock: Sequence[Piece], path: Path) -> RunHeader:
-    """Return the header in a clock's recording; raises `SettingsError`."""
+    """Header in a clock's recording; raises `SettingsError`."""
     stated = next((piece.data for piece in clock if piece.e == "run"), b"")
     if not stated:
         raise SettingsError(str(path), [f"does not state the recorded run; {COPY_AGAIN}"])
@@ -177,19 +171,17 @@ def run_header(clock: Sequence[Piece], path: Path) -> RunHeader:
 
 
 def recorded_exit_code(pieces: Iterable[Piece]) -> int | None:
-    """Return the exit code of a recorded run; None for one that was killed."""
     stated = next((piece.data for piece in pieces if piece.e == "over"), None)
     return None if stated is None else int(stated)
 
 
 def recordings(folder: Path) -> dict[str, Path]:
-    """Return the recordings in a folder by the names of their wires."""
     paths = [path for end in ("", PACKED) for path in folder.glob(f"*{SUFFIX}{end}")]
     return {path.name.partition(SUFFIX)[0]: path for path in sorted(paths)}
 
 
 def read_recording(path: Path) -> list[Piece]:
-    """Return the pieces of a recording; raises `SettingsError` where one was changed."""
+    """Read a recording; raises `SettingsError` for a changed one."""
     try:
         data = path.read_bytes()
         return list(_pieces(lzma.decompress(data) if path.suffix == PACKED else data, path))
@@ -220,7 +212,7 @@ Addresses = Mapping[str, Mapping[str, object]]
 
 
 class RelayOrder(msgspec.Struct, frozen=True):
-    """One wire: its name, where it leads, and the file of its recording."""
+    """One wire: its name, address, and recording file."""
 
     wire: str
     file: str
@@ -229,13 +221,12 @@ class RelayOrder(msgspec.Struct, frozen=True):
 
 
 class WireRecording:
-    """The relay process of one run; ``addresses`` replace those of the devices.
-
-    ``left_out`` names devices whose wires cannot be recorded here, with the reason.
+    """The relay process of one run; ``addresses`` replace those of the devices. ``left_out``:
+    devices whose wires cannot be recorded here, with the reason.
     """
 
     def __init__(self, cell: Cell, addresses: Addresses, folder: Path, head: RunHeader) -> None:
-        """Start the relay; raises `HilcellError` where it cannot reach a serial line."""
+        """Start the relay; raises `HilcellError` where it cannot open a serial line."""
         self.left_out: dict[str, str] = {}
         folder, began_s = self._unused(folder), time.monotonic()
         stated = checked_options(cell, addresses)
@@ -260,7 +251,7 @@ class WireRecording:
         self._recorder.record(0, "run", msgspec.json.encode(head))
 
     def clock(self, clock: Clock, stop: TimedStop) -> Clock:
-        """Return the cell's clock, recorded: replayed wires are paired by its readings."""
+        """The cell's clock, recorded: its readings synchronize replayed wires."""
         return RecordingClock(clock, self._recorder, stop)
 
     def close(self, exit_code: int | None = None) -> None:
@@ -289,7 +280,7 @@ class WireRecording:
 
     @staticmethod
     def _unused(folder: Path) -> Path:
-        """Return a folder without recordings: a run that is resumed has one of its own."""
+        """A folder without recordings: a resumed run has its own."""
         unused, number = folder, 1
         while recordings(unused):
             number += 1

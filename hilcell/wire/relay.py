@@ -1,9 +1,9 @@
 """Relays between drivers and devices: bytes pass in both directions, recorded or falsified.
 
-``python -P -m hilcell.wire.relay`` records: it reads its orders, one line of JSON, prints where it
-listens, and ends when its input does. It is a process of its own, so that no work of the engine
-delays a stop frame. A device that does not answer, or closes, looks to the driver like a wire that
-was closed. Conformance tests and campaigns use the same relays with a `Relay.mode` that breaks.
+``python -P -m hilcell.wire.relay`` records: it reads its orders, one line of JSON, prints its
+addresses, and ends with its input. As a process of its own it delays no stop frame. A device that
+does not answer, or closes, looks to the driver like a closed wire. Conformance tests and campaigns
+use `Relay.mode` to falsify.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ READ = 65536  # bytes
 
 
 class Acceptor:
-    """Listens in the place of a device, and hands on each connection of a driver at once."""
+    """Listens in place of a device, and hands on each connection of a driver at once."""
 
     def __init__(self, on_connection: Callable[[socket.socket], None], port: int = 0) -> None:
         loopback = "127.0.0.1"
@@ -65,7 +65,7 @@ class Acceptor:
 
 
 class End:
-    """One end of a serial line: bytes that are not read in time are lost, as at any UART."""
+    """One end of a serial line: bytes not read in time are lost, as at any UART."""
 
     on_bytes: Callable[[bytes], None]
 
@@ -75,14 +75,13 @@ class End:
 
     @property
     def full(self) -> bool:
-        """Whether bytes wait until the other side reads."""
+        """Whether bytes wait for the other side to read."""
         return False
 
     def fileno(self) -> int:
         return self._descriptor
 
     def receive(self) -> bytes:
-        """Return bytes that have arrived; none at the end."""
         return os.read(self.fileno(), READ)
 
     def send(self, data: bytes) -> None:
@@ -91,7 +90,7 @@ class End:
                 data = data[os.write(self._descriptor, data) :]
 
     def flush(self) -> None:
-        """Send bytes that wait, as far as the other side reads them."""
+        """Send waiting bytes, as far as the other side reads them."""
 
     def close(self, *, reset: bool = False) -> None:
         """Close it, by RST where there is one."""
@@ -165,12 +164,13 @@ class Relay(ABC):
     """Passes bytes between pairs of ends; ``mode`` states how.
 
     ``pass``, ``blackhole`` (all is dropped, nothing closed), ``mute`` (answers are dropped),
-    ``hold`` (answers are held until the mode changes), ``behind`` (held answers come right behind
+    ``hold`` (answers wait until the mode changes), ``behind`` (waiting answers come right behind
     the driver's next request, `AHEAD_S` before its answer; without a request after `BEHIND_S`),
     ``keep`` (answers pass, and are copied), ``again`` (the copy comes, once, right behind the
     driver's next request, `AHEAD_S` before its answer), ``garbage`` (in place of answers),
     ``flood`` (without end), ``slices`` (1 byte each), ``pieces`` (one byte, then the rest in two),
     ``glue``, ``slow`` (each piece of an answer ``delay_s`` late).
+
     ``rewrite``: bytes of answers to replace. ``on_request`` is called before a request passes.
     """
 
@@ -282,7 +282,7 @@ class Relay(ABC):
                     self._answer(data, near)
 
     def _poll(self, near: End, far: End) -> list[End]:
-        """Return the ends that have bytes; one whose bytes the other cannot take has to wait."""
+        """Ends that have bytes; one whose bytes the other cannot take has to wait."""
         readers = [one for one, other in ((near, far), (far, near)) if not other.full]
         ready, writable, _ = select.select(
             readers, [each for each in (near, far) if each.full], [], self.POLL_S
@@ -292,7 +292,7 @@ class Relay(ABC):
         return ready
 
     def _received(self, end: End) -> bytes:
-        """Return bytes that have arrived and may pass; raises `Closed` at the end."""
+        """Bytes that have arrived and may pass; raises `Closed` at the end."""
         glue_s = 0.004  # replies that arrive within this time leave as one
         if self.mode == "glue":
             time.sleep(glue_s)
@@ -343,7 +343,7 @@ class SocketRelay(Relay):
             self._place = place
 
     def drop(self) -> None:
-        """End every connection, also one that was not accepted yet; the device has seen it then."""
+        """End every connection, also one not accepted yet; the device has then received the end."""
         self._acceptor.close()
         with self._lock:
             pairs, self._pairs = self._pairs, []
@@ -385,10 +385,10 @@ class SocketRelay(Relay):
 
 
 class SerialRelay(Relay):
-    """A pseudo terminal in the place of a serial line; ``path`` is the driver's end.
+    """A pseudo terminal in place of a serial line; ``path`` is the driver's end.
 
-    The line is one connection for as long as it is plugged in: a driver may close and come again.
-    The constructor raises `OSError` where the line cannot be opened.
+    The line is one connection while it is plugged in: a driver may close and come again. The
+    constructor raises `OSError` where the line cannot be opened.
     """
 
     def __init__(self, place: SerialLine, recorder: Recorder | None = None) -> None:
@@ -444,17 +444,14 @@ class SerialRelay(Relay):
 
 
 def relay_to(place: Socket | SerialLine, recorder: Recorder | None = None) -> Relay:
-    """Return a relay before a place; raises `OSError` where a serial line cannot be opened."""
+    """A relay before an address; raises `OSError` where a serial line cannot be opened."""
     if isinstance(place, Socket):
         return SocketRelay(place, recorder)
     return SerialRelay(place, recorder)
 
 
 class Relays:
-    """The relays before all places of devices; ``options`` lead their drivers through them.
-
-    Devices are known by their tables, places by the options of their drivers.
-    """
+    """Relays before all addresses of devices; ``options`` lead their drivers through them."""
 
     def __init__(self, stated: Mapping[str, Mapping[str, object]]) -> None:
         self._relays: dict[str, Relay] = {}
@@ -467,7 +464,7 @@ class Relays:
         return list(self._relays.values())
 
     def lead_to(self, stated: Mapping[str, Mapping[str, object]]) -> None:
-        """Lead to where the devices listen now."""
+        """Lead to the present addresses of the devices."""
         for name, place in wire_places(stated).items():
             if name in self._relays:
                 self._relays[name].lead_to(place)
@@ -483,7 +480,7 @@ class Relays:
             each.mode, each.delay_s = mode, delay_s
 
     def hold_after(self, requests: int) -> None:
-        """Pass so many more requests with their answers; hold the answers to all later ones."""
+        """Pass this number of requests with their answers; hold the answers to all later ones."""
         with self._counting:
             self._hold_from = self._requests + requests
 
@@ -495,12 +492,10 @@ class Relays:
             self._requests += 1
 
     def rewrite(self, old: bytes, new: bytes) -> None:
-        """Replace bytes of all answers from now on."""
         for each in self.all:
             each.rewrite[old] = new
 
     def pass_all(self) -> None:
-        """Pass everything unchanged."""
         self._hold_from = math.inf
         for each in self.all:
             each.mode, each.rewrite = "pass", {}
@@ -523,7 +518,7 @@ class Relays:
 
 
 def main() -> None:
-    """Read the orders from stdin, print the channels by the names of their wires, and relay."""
+    """Read orders from stdin, print the channels by wire name, and relay."""
     orders = decoded(sys.stdin.buffer.readline(), list[RelayOrder])
     with ExitStack() as stack:
         channels: dict[str, str] = {}
