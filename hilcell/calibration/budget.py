@@ -57,7 +57,6 @@ DRILL = "Drill's offset"
 
 
 def target_uncertainty(log: Log) -> Uncertainty:
-    """Lines measured by a run, and those stated by its cell."""
     if not visits_mm(log):
         return Uncertainty(missing=NO_VISITS)
     stated = log.cell.uncertainty
@@ -381,7 +380,6 @@ def lines_in_use(calibration: Calibration, station: str) -> list[Influence]:
 
 
 def cube_bounds(calibration: Calibration, station: str) -> Bounds:
-    """Bounds in use over the calibrated cube, in its orientation."""
     grid = calibration.grid()
     shares = np.array([0.25, 0.75])  # along each axis of a grid's cell
     axes = [
@@ -416,7 +414,6 @@ def validated_bounds(
 def lines_in_validation(
     calibration: Calibration, log: Log, station: str, points: list[Point]
 ) -> list[Influence]:
-    """Lines of the budget for validation points of a station."""
     stated, stop = calibration.budget, log.cell.station_named(station)
     on_visit = touched(log, stop)
     placed = stated.stations[station] if on_visit is None else [on_visit]

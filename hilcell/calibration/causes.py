@@ -130,7 +130,6 @@ class Change(msgspec.Struct, frozen=True):
 
     @property
     def holds(self) -> bool:
-        """Whether chance explains the differences."""
         return self.ratio <= self.limit
 
 

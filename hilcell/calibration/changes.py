@@ -135,7 +135,6 @@ class _Limits:
         return covariance
 
     def growth(self, key: str, before: PreviousReference) -> Array:
-        """Covariance of a frame's change by the change of ambient temperature."""
         covariance, now_c = np.zeros((6, 6)), self.log.temperatures_c()
         then_c = before.temperature_c if before.frames_c is None else before.frames_c
         if then_c is None or not now_c:

@@ -139,7 +139,6 @@ def judged(
 
 
 def judged_again(stated: Judged, limits: Limits | None = None) -> Judged:
-    """Decide again on a verdict's figures, by its own or other limits."""
     guard = Guard(stated.mean_U_mm, stated.max_U_mm)
     return judged(
         stated.mean_mm,

@@ -371,7 +371,6 @@ def warm(log: Log) -> Suspicion | None:
 
 
 def misplaced_base(log: Log) -> Suspicion | None:
-    """A base off its place by the cell file, with the matching cause."""
     cell = log.cell
     if not isinstance(log.frames.get("base"), MeasuredBase):
         return None
@@ -411,7 +410,6 @@ CIRCLE, CONSTANT = "circle of axis 6", "constant error in the tool's frame"
 
 
 def mount_offset(log: Log) -> Suspicion | None:
-    """A reflector clearly off its place by the cell file, if any."""
     frame, arm = log.frames.get("base"), log.cell.robot.arm()
     of_base, radius_mm2 = np.zeros((6, 6)), 0.0
     sigmas = 3.0

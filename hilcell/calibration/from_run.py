@@ -33,7 +33,6 @@ ORIENTATION_TOLERANCE_DEG = 2.0
 
 
 def calibration_from_log(log: Log, run: str) -> Calibration:
-    """Calibration from the log of a run that reached the fit."""
     cell, frames, measured = log.cell, Frames(log.cell, log), measured_errors(log)
     grid, sign, fit = measured.grid.grid, log.verdict(SignChecked), log.verdict(Fitted)
     if fit is None:
@@ -90,7 +89,6 @@ def validation_verdicts(log: Log) -> dict[str, Judged]:
 
 
 def other_failed_verdicts(log: Log) -> dict[str, str]:
-    """Other failed verdicts, as text."""
     return {
         key: verdict.why
         for key, verdict in log.verdicts.items()
@@ -99,7 +97,6 @@ def other_failed_verdicts(log: Log) -> dict[str, str]:
 
 
 def orientation_tolerance_deg(cell: Cell, method: str) -> float:
-    """Allowed rotation of targets from the grid's orientation."""
     tilt_deg = cell.plan.tilt_deg if MODELS[method].any_orientation else 0.0
     return max(ORIENTATION_TOLERANCE_DEG, tilt_deg)
 
@@ -143,7 +140,6 @@ def calibration_after(log: Log, run: str) -> Calibration:
 
 
 def _rebased(calibration: Calibration, found: Judgement, run: str) -> Calibration:
-    """The calibration with base frames moved as the re-check measured."""
     stations = {
         name: msgspec.structs.replace(entry, T_W_B=(np.array(entry.T_W_B) @ found.base).tolist())
         for name, entry in calibration.stations.items()
@@ -161,7 +157,6 @@ def _rebased(calibration: Calibration, found: Judgement, run: str) -> Calibratio
 
 
 def _touched(calibration: Calibration, log: Log, run: str, name: str) -> Calibration:
-    """The calibration with a station's base as touched on the run's visit."""
     frame, entry = log.frame(TouchedBase, f"touch.{name}"), calibration.stations[name]
     entry = msgspec.structs.replace(entry, T_W_B=frame.matrix)
     update = Update(run, "touch", written_now(), frame.poses)

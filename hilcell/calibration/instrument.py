@@ -54,7 +54,6 @@ def known_lengths(cell: Cell, log: Log) -> list[MeasuredLength]:
 
 
 def _found(cell: Cell, log: Log, known: KnownLength) -> MeasuredLength:
-    """A length with the uncertainty of certificate, tracker and centring."""
     of_floor = {each.name for each in cell.layout.floor}
     ends = [  # on the floor or on a bar, of the first framing of {W}
         log.point(PointId("world" if nest in of_floor else LENGTH, nest=nest))
@@ -79,7 +78,6 @@ def _found(cell: Cell, log: Log, known: KnownLength) -> MeasuredLength:
 
 
 def scale(log: Log) -> Suspicion | None:
-    """A wrong scale of the tracker, shown by a certified length."""
     checked = log.verdict(LengthsChecked)
     wrong = [] if checked is None else [each for each in checked.lengths if not each.holds]
     if not wrong:

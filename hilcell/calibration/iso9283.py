@@ -132,7 +132,6 @@ class Angles(msgspec.Struct, frozen=True, omit_defaults=True):
     ap_u95_deg: dict[str, float] = {}
 
     def of(self, characteristic: Characteristic) -> tuple[dict[str, float], dict[str, float]]:
-        """Values and U by angle, as far as measured."""
         if characteristic is AP_ANGLES:
             return self.ap_deg, self.ap_u95_deg
         return self.rp_deg, self.rp_u95_deg

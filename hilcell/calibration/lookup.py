@@ -96,7 +96,6 @@ class CalibrationFile:
 
     @cached_property
     def cell(self) -> Cell | None:
-        """The cell as it was when that run began."""
         with suppress(HilcellError):  # of a journal that cannot be read only the hint is lost
             return read_log(self.folder).cell if self.folder else None
         return None
@@ -196,13 +195,11 @@ def calibrated_machine(cell: Cell, table: str) -> int | None:
 
 
 def record_of(calibration: Calibration, path: str) -> Json:
-    """Facts of the event that stores the calibration."""
     content = msgspec.to_builtins(calibration)
     return {"run": calibration.provenance.latest, "file": path, "content": content}
 
 
 def calibration_in(log: Log) -> Calibration | None:
-    """The calibration that a run uses, once it has begun to."""
     facts = (record.fact for record in reversed(log.events))
     used = next((fact for fact in facts if isinstance(fact, CalibrationUsed)), None)
     return None if used is None else typed(used.content, Calibration)

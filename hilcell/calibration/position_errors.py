@@ -43,7 +43,6 @@ class Errors:
 
 
 def position_errors(log: Log, points: list[Point]) -> Errors:
-    """Errors of points that have a nominal target."""
     known = [point for point in points if point.nominal_mm is not None]
     nominal_mm = np.array([point.nominal_mm for point in known], dtype=float).reshape(-1, 3)
     actual_mm = apply(log.matrix("world"), positions_mm(known))
@@ -140,7 +139,6 @@ class VisitNoise:
 
 @of_measured
 def visit_noise(log: Log) -> VisitNoise:
-    """Noise shown by a run's readings and its repeated visits."""
     beam, visits = run_noise(log), repeated_visits(log)
     noise_mm2 = np.array([noise_at(beam, each).mean(axis=0) for each in visits])
     return VisitNoise(scatter_besides([positions_mm(each) for each in visits], noise_mm2), beam)

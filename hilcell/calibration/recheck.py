@@ -237,7 +237,6 @@ def rechecked(log: Log) -> Rechecked:
 
 
 def as_predicted(log: Log, points: list[Point], station: str) -> Rechecked:
-    """Errors of points at a station, with the covariance that the calibration predicts."""
     calibration, visits = used(log), visited(log, points, station)
     poses = driven_poses(calibration, log, points, visits.nominal_mm)
     model = calibration.error_model().predict(poses)

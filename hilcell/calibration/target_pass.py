@@ -53,7 +53,6 @@ def gross_targets(log: Log) -> list[str]:
 
 
 def folded(log: Log, run: str) -> Calibration:
-    """The calibration with this pass and those before it folded in."""
     calibration, (this, poses) = used(log), _pass(log, run)
     this = this.without(gross_targets(log))
     before = calibration.targets.passes if calibration.targets is not None else []
@@ -199,6 +198,5 @@ def _predicted(calibration: Calibration, poses: Array) -> Prediction:
 
 
 def _stated_mm2(calibration: Calibration, poses: Array) -> float:
-    """Mean variance of one coordinate that the model states at poses."""
     covariance_mm2 = _predicted(calibration, poses).covariance_mm2
     return float(np.trace(covariance_mm2, axis1=1, axis2=2).mean()) / 3

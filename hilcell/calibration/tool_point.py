@@ -51,7 +51,6 @@ class Tip:
 
     @property
     def u_mm(self) -> float:
-        """Standard deviation of the tip's position against the reflector."""
         return 0.0 if self.table is None else self.table.u_mm
 
     @property
@@ -80,7 +79,6 @@ class Tip:
         return arm if self.table is None else replace(arm, tool=self.T_F_D)
 
     def is_stated(self, stated: StatedTool) -> bool:
-        """Whether a program's tool is this one."""
         if stated.frame is None:
             return stated.number is not None and stated.number == self.number
         off = inverse(self.T_F_D) @ stated.frame

@@ -230,7 +230,6 @@ class FittedArm:
         return cls(by(kinematics, poses.readings, start), poses, targets)
 
     def with_residual(self) -> Self:
-        """The robot with a Gaussian process for the residual of its parameters."""
         return replace(self, residual=with_residual(self.estimate))
 
     @property
@@ -497,7 +496,6 @@ def _refuse_many(rows: Measurements, bad: Bools, miss_mm: Array) -> None:
 def _judged(
     methods: Mapping[str, Method], test: Measurements, best: str | None
 ) -> tuple[dict[str, Figures], dict[str, Coverage]]:
-    """Figures on test rows, and the coverage of the bounds."""
     found, coverage, bounds = {}, {}, {}
     for name, method in methods.items():
         predicted = Predicted.by(method, test)

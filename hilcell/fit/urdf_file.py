@@ -234,7 +234,6 @@ class Urdf(Robot):
 
     @property
     def _fixed_at_tip(self) -> int:
-        """Number of fixed joints after the sixth."""
         last = max(n for n, joint in enumerate(self.joints) if joint.kind in REVOLUTE)
         return len(self.joints) - 1 - last
 

@@ -1,7 +1,7 @@
-"""Circles that a reflector runs about one robot axis, and the base frame they define (Fig 6).
+"""Circles of a reflector about one robot axis, and the base frame they define (Fig 6).
 
-A circle has two axes. The order of the points decides between them, so `fit_circle` must know
-whether they were taken in the positive or in the negative sense.
+The sense of a circle's axis follows from the order of its points, so `fit_circle` must know whether
+they were taken in the positive or the negative sense.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from hilcell.geometry.statistics import lengths_mm, rms
 class Circle:
     """A circle in space: centre (3,), unit axis (3,), radius, and residuals.
 
-    ``residuals_mm`` (N, 2): along the axis, and radially. ``covariance`` (6, 6) of centre (mm)
-    and axis together, scaled by the residuals; all NaN with three points, which leave none.
+    ``residuals_mm`` (N, 2): axial, radial. ``covariance`` (6, 6) of centre (mm) and axis, scaled by
+    the residuals; NaN with three points.
     """
 
     centre_mm: Array
@@ -35,7 +35,6 @@ class Circle:
         return rms(lengths_mm(self.residuals_mm))
 
     def linearised(self, points: Array) -> tuple[Array, Array, Array]:
-        """Return residuals (2N,), their derivatives (2N, 6) and the axis's two tangents (3, 2)."""
         lever = points - self.centre_mm
         along = lever @ self.axis
         inside = lever - along[:, None] * self.axis
@@ -52,7 +51,6 @@ class Circle:
         )
 
     def directed(self, points: Array, turn: float) -> Circle:
-        """Return the circle with its axis in the sense of the points' order."""
         lever = points - self.centre_mm
         swept = np.cross(lever[:-1], lever[1:]).sum(axis=0) @ self.axis
         if not abs(turn * swept) > 0:
@@ -62,7 +60,6 @@ class Circle:
         return self if swept * turn > 0 else replace(self, axis=-self.axis)
 
     def with_covariance(self, points: Array) -> Circle:
-        """Return the circle with its residuals, and the covariance that they show."""
         r, J, tangents = self.linearised(points)
         left = 2 * len(points) - 6
         variance = r @ r / left if left else np.nan
@@ -75,9 +72,9 @@ class Circle:
 def fit_circle(points_mm: ArrayLike, turn: float = 1.0) -> Circle:
     """Fit a circle to N >= 3 points (N, 3) by least squares of their distances from it.
 
-    ``turn`` > 0: the points run counter-clockwise about the axis, seen from its
-    tip (steps below half a turn); < 0 clockwise. Raises `FrameError` on non-finite or collinear
-    points and where the fit does not settle.
+    ``turn`` > 0: the points run counter-clockwise about the axis, viewed from its tip (steps below
+    half a turn); < 0 clockwise. Raises `FrameError` on non-finite or collinear points and where the
+    fit does not converge.
     """
     points = checked_points(np.asarray(points_mm, dtype=float), "the circle's points")
     # plane and algebraic circle of the points
@@ -110,9 +107,8 @@ def fit_circle(points_mm: ArrayLike, turn: float = 1.0) -> Circle:
 
 
 def reading_covariance(circle: Circle, points_mm: Array, covariances_mm2: Array) -> Array:
-    """Return the covariance (7, 7) of centre, axis and radius from its points' (N, 3, 3).
-
-    Unlike that of the residuals it knows a direction in which the points scatter more.
+    """Covariance (7, 7) of centre, axis and radius from its points' (N, 3, 3). Unlike that of the
+    residuals it includes a direction of larger scatter.
     """
     _, J, tangents = circle.linearised(points_mm)
     lever = points_mm - circle.centre_mm
@@ -126,11 +122,11 @@ def reading_covariance(circle: Circle, points_mm: Array, covariances_mm2: Array)
 
 
 def base_frame(axis_1: Circle, axis_6: Circle, height_mm: float) -> Array:
-    """Return {B} (4, 4) in the frame of the circles, from sweeps about axes 1 and 6.
+    """{B} (4, 4) in the frame of the circles, from sweeps about axes 1 and 6.
 
-    z is axis 1. x is axis 6, swept at A1 = 0, made orthogonal to z; it points from axis 1 to
-    the circle of axis 6. The origin lies on axis 1, ``height_mm`` below the centre of axis 6's
-    circle. Raises `FrameError` where the axes are too nearly parallel.
+    z is axis 1; x is axis 6, swept at A1 = 0, made orthogonal to z, from axis 1 to the circle of
+    axis 6. The origin lies on axis 1, ``height_mm`` below the centre of axis 6's circle. Raises
+    `FrameError` where the axes are too nearly parallel.
     """
     z = axis_1.axis
     across = axis_6.axis - (axis_6.axis @ z) * z
@@ -147,9 +143,8 @@ def base_frame(axis_1: Circle, axis_6: Circle, height_mm: float) -> Array:
 
 
 def base_frame_covariance(axis_1: Circle, axis_6: Circle, height_mm: float) -> Array:
-    """Return the covariance (6, 6) of `base_frame`: shift of its origin (mm), rotation vector.
-
-    Both have the axes that the circles are given in, as in `frames.RigidFit`.
+    """Covariance (6, 6) of `base_frame`: shift of its origin (mm), rotation vector. Both with the
+    axes of the circles' frame, as in `frames.RigidFit`.
     """
     T = base_frame(axis_1, axis_6, height_mm)
     covariance = np.zeros((6, 6))

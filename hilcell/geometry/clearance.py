@@ -1,15 +1,13 @@
-"""How near an arm comes to boxes, in a posture and on a whole motion.
+"""Clearance of an arm from boxes, in a posture and on a whole motion. Lengths mm, angles rad.
 
-A capsule is all that lies within a radius of a segment that is fixed to one link. The distance of a
-segment from a box is the least value of a convex function of one number, so it is found exactly.
-Lengths mm, angles rad.
+A capsule is all within a radius of a segment fixed to one link. The distance of a segment from a
+box is the minimum of a convex function of one number, computed exactly.
 
-That an arm on a slide keeps a clearance on a motion is proven, and not only sampled. A posture is
-(7,): the slide's place in mm, and six joints in rad; on a motion all seven go in step. Between
-two postures no point of the arm travels farther than its levers allow (`levers_mm`). So a posture
-that has more clearance than required, by half of that, proves the motion around it; where it has
-less, the motion is halved and both halves are checked. A motion counts as clear only when the
-parts that are proven make up the whole: a posture that is no number proves nothing.
+Clearance on a motion is proven, not only sampled. A posture is (7,): the slide's position in mm,
+and six joints in rad; on a motion all seven are synchronous. Between two postures no point of the
+arm travels farther than its levers allow (`levers_mm`), so the excess of a posture's clearance over
+the required one proves the motion around it; the rest is halved and checked again. A motion is
+clear only when the proven parts cover it; a posture of NaN proves nothing.
 """
 
 from __future__ import annotations
@@ -47,15 +45,14 @@ class Boxes:
 
     @cached_property
     def axes(self) -> Array:
-        """Return the boxes' axes (3V, 3), one below another."""
         return self.into[:, :3, :3].reshape(-1, 3)
 
 
 def joint_lines(arm: Arm, link: int) -> Array:
-    """Return the segments (S, 2, 3) along link 1 .. 6, from its joint to the next, in its frame.
+    """Segments (S, 2, 3) along link 1 .. 6, from its joint to the next, in its frame.
 
-    Axis 1 turns its own column in place: the column is left out. Link 6 has the tool point too. A
-    link whose joints coincide has a segment without length.
+    Axis 1 rotates its own column in place: the column is left out. Link 6 includes the tool point.
+    A link whose joints coincide has a segment of length 0.
     """
     row = link - 1
     a_mm, d_mm, alpha_rad = arm.a_mm[row], arm.d_mm[row], arm.alpha_rad[row]
@@ -86,10 +83,10 @@ def placed_mm(arm: Arm, capsules: Capsules, joints_rad: Array) -> Array:
 
 
 def levers_mm(arm: Arm, capsules: Capsules) -> Array:
-    """Return how far (C, 6) any point of a capsule's segment can be from each axis at most.
+    """Largest distance (C, 6) of any point of a capsule's segment from each axis, in any posture.
 
-    No posture makes that longer than the links between; 0 for axes behind the capsule's link. So
-    a point travels at most sum_j |turn_j| lever_j on any motion.
+    0 for axes behind the capsule's link. A point travels at most sum_j |turn_j| lever_j on any
+    motion.
     """
     lengths = np.hypot(arm.a_mm, arm.d_mm)
     levers = np.zeros((len(capsules.link), 6))
@@ -111,11 +108,11 @@ def levers_mm(arm: Arm, capsules: Capsules) -> Array:
 def clearance_mm(
     ends_mm: Array, radius_mm: Array, boxes: Boxes, enough_mm: Array, shift_mm: Array
 ) -> Array:
-    """Return the clearances (N, C, V) of capsules with ends (N, C, 2, 3) from boxes.
+    """Clearances (N, C, V) of capsules with ends (N, C, 2, 3) from boxes.
 
-    ``shift_mm`` (N, V, 3) is the motion of the capsules against each box, its axes.
-    Negative where they overlap, down to the radius. Where a sphere around the capsule proves that
-    there are ``enough_mm`` (N, C), the sphere's clearance is returned.
+    ``shift_mm`` (N, V, 3) is the motion of the capsules against each box, its axes. Negative where
+    they overlap, down to the radius. Where a sphere around the capsule has ``enough_mm`` (N, C),
+    the sphere's clearance is returned.
     """
     origins = boxes.into[:, :3, 3] + shift_mm
     middle = (ends_mm[..., 0, :] + ends_mm[..., 1, :]) / 2
@@ -133,10 +130,10 @@ def clearance_mm(
 
 
 def segment_to_box_mm(ends_mm: Array, half_mm: Array) -> Array:
-    """Return the distances (K,) of segments (K, 2, 3) from boxes (K, 3) about the origin.
+    """Distances (K,) of segments (K, 2, 3) from boxes (K, 3) about the origin.
 
-    The squared distance is convex along the segment, and its slope is linear between the places
-    where the segment crosses the planes of the box's faces: the slope's zero is the minimum.
+    The squared distance is convex along the segment, and its slope is linear between the crossings
+    with the planes of the box's faces: the slope's zero is the minimum.
     """
     start, along = ends_mm[:, 0, None], (ends_mm[:, 1] - ends_mm[:, 0])[:, None]
     half = half_mm[:, None]
@@ -158,12 +155,10 @@ def segment_to_box_mm(ends_mm: Array, half_mm: Array) -> Array:
 
 
 def _outside(points: Array, half: Array) -> Array:
-    """Return by how much each coordinate is beyond the box's faces."""
     return points - np.minimum(np.maximum(points, -half), half)
 
 
 def _lengths(vectors: Array) -> Array:
-    """Return the lengths (...) of vectors (..., 3)."""
     return np.asarray(np.sqrt(np.einsum("...i,...i->...", vectors, vectors)))
 
 
@@ -177,9 +172,8 @@ class Proof:
 
 @dataclass(frozen=True, slots=True)
 class Tightest:
-    """The least clearance that was found on a motion: by which capsule from which box, and where.
-
-    ``box`` counts the fixed boxes, then the carried ones.
+    """The least clearance on a motion: capsule, box, and position. ``box`` counts the fixed boxes,
+    then the carried ones.
     """
 
     clearance_mm: float
@@ -233,9 +227,8 @@ class Body:
         return Proof(proven == 1.0, share)  # halves add without rounding
 
     def tightest(self, start: Array, end: Array, also: float) -> Tightest:
-        """Return where a motion between postures (7,) is tightest, by many looks at it.
-
-        ``also`` is a share of the way to look at beside those in even steps.
+        """The tightest point of a motion between postures (7,), by samples in even steps. ``also``:
+        an additional share of the path.
         """
         shares = np.append(np.linspace(0.0, 1.0, 257), also)
         postures = start + shares[:, None] * (end - start)
@@ -251,14 +244,14 @@ class Body:
         return clearance_mm(ends_mm, self.capsules.radius_mm, boxes, enough_mm, shift_mm)
 
     def travel_mm(self, start: Array, end: Array) -> Array:
-        """Return how far (N, C) any point of a capsule's segment can travel in {W} at most."""
+        """Largest travel (N, C) in {W} of any point of a capsule's segment."""
         way = np.abs(end - start)
         return way[:, :1] + way[:, 1:] @ self._levers_mm.T
 
     @cached_property
     def _boxes(self) -> tuple[Boxes, Array]:
-        """Return all boxes (V,) in {B} with the slide at 0, and its direction (V, 3), the axes of
-        each box; 0 for those that ride.
+        """All boxes (V,) in {B} with the slide at 0, and its direction (V, 3), the axes of each
+        box. 0 for carried boxes.
         """
         fixed, carried, T_B_W = self.fixed, self.carried, inverse(self.base)
         boxes = Boxes(
@@ -274,7 +267,7 @@ class Body:
         return levers_mm(self.arm, self.capsules)
 
     def _least_mm(self, postures: Array, enough_mm: Array) -> Array:
-        """Return the clearance (N, C) from the nearest box."""
+        """Clearance (N, C) from the nearest box."""
         at_once = 2048  # postures: bounds the memory
         if len(postures) <= at_once:
             return np.array(self.clearances_mm(postures, enough_mm).min(axis=-1))

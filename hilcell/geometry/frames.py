@@ -1,10 +1,9 @@
 """Frames as (4, 4) matrices, their rotations, and rigid fits with their uncertainty.
 
-``T_W_B`` carries coordinates of {B} into {W}. A small error of a frame is written as six numbers:
-the shift of its origin (mm) and a rotation vector (rad) about that origin, both with the axes of
-the frame it is stated in. Three points fit a frame and its mirror image equally well, so
-left-handed data show only in four or more points that do not lie in one plane. (scipy has
-rotations, too, but its import takes longer than all else that starts an engine.)
+``T_W_B`` carries coordinates of {B} into {W}. A small error of a frame: shift of its origin (mm)
+and rotation vector (rad) about it, axes of the frame it is given in. Three points fit a frame and
+its mirror image equally well, so left-handed data show only in four or more points not in one
+plane. (scipy's rotations take longer to import than all else that starts an engine.)
 """
 
 from __future__ import annotations
@@ -31,8 +30,8 @@ class FrameError(HilcellError):
 class RigidFit:
     """``b = T a``: fitted frame of a in b, its covariance and residuals.
 
-    ``covariance`` (6, 6) is that of (shift of a's origin in mm, rotation vector in rad about it),
-    axes of b; ``residuals_mm`` (N, 3) are ``b - T a``.
+    ``covariance`` (6, 6): shift of a's origin (mm), rotation vector (rad) about it, axes of b;
+    ``residuals_mm`` (N, 3): ``b - T a``.
     """
 
     T: Array
@@ -62,10 +61,7 @@ def apply_each(T: Array, points: Array) -> Array:
 
 
 def matrix(R: Array, t: Array) -> Array:
-    """Return the matrices (..., 4, 4) of rotations (..., 3, 3) and translations (..., 3).
-
-    One rotation holds for many translations, and one translation for many rotations.
-    """
+    """Matrices (..., 4, 4) of rotations (..., 3, 3) and translations (..., 3), broadcast."""
     T = np.zeros((*np.broadcast_shapes(R.shape[:-2], t.shape[:-1]), 4, 4))
     T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, t, 1.0
     return T
@@ -79,10 +75,10 @@ def rigid_fit(
 ) -> RigidFit:
     """Fit ``b = T a`` to N >= 3 pairs of points (N, 3) by least squares.
 
-    ``weights`` (N,) are relative: the covariance is scaled by the residuals. Covariances
-    (N, 3, 3) of each pair's difference, mm^2 with axes of b, are believed, but the result's is
-    widened where the residuals exceed them. ``names`` are those of a and b in messages. Raises
-    `FrameError` on too few, non-finite, collinear or mirrored points.
+    ``weights`` (N,) are relative: the covariance is scaled by the residuals. Covariances (N, 3, 3)
+    of each pair's difference, mm^2 with axes of b, are absolute, but the result's is widened where
+    the residuals exceed them. ``names``: of a and b in messages. Raises `FrameError` on too few,
+    non-finite, collinear or mirrored points.
     """
     a, b = np.asarray(a_mm, dtype=float), np.asarray(b_mm, dtype=float)
     if a.shape != b.shape:
@@ -107,7 +103,6 @@ def rigid_fit(
 
 
 def point_uncertainty(fit: RigidFit, point_mm: Array) -> float:
-    """Return 1 sigma (mm, root of the trace) of ``T`` applied at a point (3,) given in a."""
     return float(np.sqrt(point_variance_mm2(fit.T, fit.covariance, point_mm)))
 
 
@@ -118,9 +113,8 @@ def point_variance_mm2(T: Array, covariance: Array, point_mm: Array) -> float:
 
 
 def orientations(places_mm: Array, seen_mm: Array) -> Array:
-    """Return the rotations (N, 3, 3) of a body whose points (K, 3) are measured at (N, K, 3).
-
-    By least squares (Arun, Huang, Blostein 1987); K >= 3 points that lie on no line.
+    """Rotations (N, 3, 3) of a body whose points (K, 3) are measured at (N, K, 3). Least squares
+    (Arun, Huang, Blostein 1987); K >= 3 points not on one line.
     """
     places = places_mm - places_mm.mean(axis=0)
     seen = seen_mm - seen_mm.mean(axis=1, keepdims=True)
@@ -131,10 +125,10 @@ def orientations(places_mm: Array, seen_mm: Array) -> Array:
 
 
 def rotation_levers(places_mm: Array, rotations: Array) -> Array:
-    """Return by how much a displacement of each point turns the body, (N, K, 3, 3) in rad / mm.
+    """Rotation of the body by a displacement of each point, (N, K, 3, 3) in rad / mm.
 
-    The body's points (K, 3) are turned by rotations (N, 3, 3): the derivative of `orientations`,
-    as a rotation vector in the frame in which they are measured.
+    The body's points (K, 3) are rotated by ``rotations`` (N, 3, 3): the derivative of
+    `orientations`, as a rotation vector in the frame in which they are measured.
     """
     places = places_mm - places_mm.mean(axis=0)
     levers = cross_matrix(np.einsum("nij,kj->nki", rotations, places))
@@ -190,9 +184,8 @@ def cross_matrix(v: Array) -> Array:
 
 
 def motion_levers(places_mm: Array) -> Array:
-    """Return d(place) / d(shift, rotation vector, growth), (N, 3, 7), of a motion about the origin.
-
-    ``places_mm`` (N, 3) are in the frame that moves: shift in mm, rotation in rad, growth a ratio.
+    """d(place) / d(shift, rotation vector, growth), (N, 3, 7), of a motion about the origin.
+    ``places_mm`` (N, 3) in the moving frame: shift in mm, rotation in rad, growth a ratio.
     """
     shifts = np.broadcast_to(np.eye(3), (len(places_mm), 3, 3))
     return np.concatenate([shifts, -cross_matrix(places_mm), places_mm[:, :, None]], axis=-1)

@@ -1,15 +1,13 @@
 """Inverse kinematics: closed form where the arm has one, refined for others.
 
 A pose has up to eight postures; its status picks one: bit 0 the wrist centre lies behind axis 1,
-bit 1 axis 3 is at or beyond the stretched arm (the elbow's offset counts), bit 2 A5 < 0. A posture
-leaves whole turns open; `posture` takes those nearest to a reference that keep within the limits,
-as a robot does that goes there from the reference.
+bit 1 axis 3 is at or beyond the stretched arm (including the elbow's offset), bit 2 A5 < 0.
+Revolutions are chosen nearest to a reference, within the limits, as a robot does.
 
-Two families of six-axis arms that plants have are solved in closed form. Both are a shoulder that
-turns about the vertical, two parallel links in a plane, and a last part that turns by
-``Rz(q) Ry(-theta 5) Rz(theta 6)`` within it. With a spherical wrist axes 4 to 6 meet in the wrist
-centre, and q is theta 4. With three parallel axes (Universal Robots) axis 4 is parallel to 2 and 3,
-and q is the sum of these three angles; the arm is then beside the plane.
+Closed form for two families: a shoulder about the vertical, two parallel links in a plane, and a
+last part that rotates by ``Rz(q) Ry(-theta 5) Rz(theta 6)`` within it. With a spherical wrist axes
+4 to 6 meet in the wrist centre, and q is theta 4. With three parallel axes (Universal Robots) axis
+4 is parallel to 2 and 3, q is the sum of these angles, and the arm is beside the plane.
 """
 
 from __future__ import annotations
@@ -34,10 +32,10 @@ class ReachError(HilcellError):
 
 
 def solved(arm: Arm, poses: Array, status: int) -> tuple[Array, Array]:
-    """Return joints (..., 6) in -pi..pi for {T} in {B} (..., 4, 4), and the excess (...), mm.
+    """Joints (..., 6) in -pi..pi for {T} in {B} (..., 4, 4), and the excess (...), mm.
 
-    The excess is by how much the pose is out of reach, at most 0 within. Raises `ReachError` for an
-    arm of neither family.
+    The excess is the distance out of reach, at most 0 within. Raises `ReachError` for an arm of
+    neither family.
     """
     family = _family(arm)
     if status not in range(8):
@@ -128,9 +126,8 @@ class _Family(Protocol):
     def turns(
         self, arm: Arm, front: Array, flange: Array, status: int, singular_rad: float
     ) -> Array:
-        """Return q, theta 5, theta 6 (..., 3), by which the flange turns against ``front``.
-
-        Where the wrist is straight, q is ``singular_rad``: only its sum with theta 6 is known.
+        """q, theta 5, theta 6 (..., 3) of the flange against ``front``. At a straight wrist q is
+        ``singular_rad``: only its sum with theta 6 is determined.
         """
         R = np.swapaxes(front, -1, -2) @ flange[..., :3, :3]
         side = arm.sign[4] * (1.0 if status & FLIPPED else -1.0)
@@ -238,10 +235,10 @@ NAMED = 3  # poses that one message names
 
 
 def inverse_kinematics(arm: Arm, poses: ArrayLike, status: int) -> Array:
-    """Return joints (..., 6), each within -pi..pi, for {T} in {B} (..., 4, 4) by ``status``.
+    """Joints (..., 6), each within -pi..pi, for {T} in {B} (..., 4, 4) by ``status``.
 
-    Raises `ReachError` naming the first unreachable poses and by how many mm they are so, or
-    when the arm has no closed form (see `refined`).
+    Raises `ReachError` naming the first unreachable poses and their distance, or for an arm without
+    closed form (see `refined`).
     """
     joints, excess_mm = solved(arm, np.asarray(poses, dtype=float), status)
     excess = np.atleast_1d(excess_mm).ravel()
@@ -270,7 +267,7 @@ class NominalRobot:
         return np.where(excess_mm <= ROUNDING_MM, 0.0, excess_mm)
 
     def nearest(self, poses: ArrayLike) -> Array:
-        """Return joints (..., 6) as `inverse_kinematics`, turned towards the home: within limits
+        """Joints (..., 6) as `inverse_kinematics`, in the revolution nearest to home, within limits
         if possible.
         """
         joints = inverse_kinematics(self.arm, poses, self.status)
@@ -329,9 +326,9 @@ def joint_jacobian(arm: Arm, joints_rad: ArrayLike) -> Array:
 
 
 def refined(arm: Arm, poses: Array, start_rad: Array) -> tuple[Array, Bools]:
-    """Return joints (N, 6) of any six-axis arm for poses (N, 4, 4), and which arrived (N,).
+    """Joints (N, 6) of any six-axis arm for poses (N, 4, 4), and which converged (N,).
 
-    From a start (N, 6), by Levenberg-Marquardt with damping by the residual, so it also leaves
+    From a start (N, 6), by Levenberg-Marquardt with damping by the residual, so that it also leaves
     singular starts.
     """
     joints, arrived = start_rad.copy(), np.zeros(len(poses), dtype=bool)

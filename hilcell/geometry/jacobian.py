@@ -1,9 +1,9 @@
-"""How errors of link parameters move the tool: the differential error model, eqs 3-7.
+"""Motion of the tool by errors of link parameters: the differential error model, eqs 3-7.
 
 Each link's error is a small shift and rotation of its own frame {i}, ``dA_i = A_i deltaA_i``;
 ``U_{i+1} = A_{i+1} .. A_n {tool}`` carries it into {T}. Eq 7's vectors have the axes of {T}; a
-tracker's have those of {B} and are turned by R_T. And eq 5 is a product, not a sum; eq 6 follows
-from it to first order, with U behind the last link being the tool frame alone.
+tracker's have those of {B} and are rotated by R_T. Eq 5 is a product, not a sum; eq 6 follows to
+first order, with U behind the last link being the tool frame alone.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ PARAMETERS = (
 
 
 def link_errors(arm: Arm) -> Array:
-    """Return each link's error in its frame {i} per unit of each parameter, (6 links, 6, 5).
+    """Each link's error in its frame {i} per unit of each parameter, (6 links, 6, 5).
 
-    The second axis is (d, delta) of eq 4: shift in mm, rotation vector in rad; the last is
-    `KINDS`. With eq 2: d = (da, a cos(alpha) dtheta + sin(alpha) dd, -a sin(alpha) dtheta +
-    cos(alpha) dd) and delta = (dalpha, sin(alpha) dtheta, cos(alpha) dtheta), before Hayati's
-    Rot(y, beta), which turns both into its frame and adds dbeta about y. The joint angles do not
-    matter here: in {i}, a rotation of joint i comes before the whole link.
+    The second axis is (d, delta) of eq 4: shift in mm, rotation vector in rad; the last is `KINDS`.
+    With eq 2: d = (da, a cos(alpha) dtheta + sin(alpha) dd, -a sin(alpha) dtheta + cos(alpha) dd)
+    and delta = (dalpha, sin(alpha) dtheta, cos(alpha) dtheta), before Hayati's Rot(y, beta), which
+    rotates both into its frame and adds dbeta about y. Joint angles do not matter: in {i}, a
+    rotation of joint i precedes the whole link.
     """
     ca, sa = np.cos(arm.alpha_rad), np.sin(arm.alpha_rad)
     errors = np.zeros((6, 6, 5))
@@ -53,11 +53,11 @@ def link_errors(arm: Arm) -> Array:
 
 
 def tool_and_jacobian(arm: Arm, joints_rad: ArrayLike) -> tuple[Array, Array]:
-    """Return {T} in {B}, (..., 4, 4), as `forward` does, and how each of `PARAMETERS` moves it.
+    """{T} in {B}, (..., 4, 4), as `forward`, and its motion by each of `PARAMETERS`.
 
-    d(shift in mm, rotation vector in rad)/d(`PARAMETERS`), (..., 6, 33), axes of {T}: the columns
-    are d^n and delta^n of eq 7, link by link ``U_{i+1}^-1 deltaA_i U_{i+1}`` of eq 6, for joints
-    (..., 6).
+    d(shift in mm, rotation vector in rad)/d(`PARAMETERS`), (..., 6, 33), axes of {T}, for joints
+    (..., 6): the columns are d^n and delta^n of eq 7, link by link ``U_{i+1}^-1 deltaA_i U_{i+1}``
+    of eq 6.
     """
     links = link_transforms(arm, np.asarray(joints_rad, dtype=float))
     errors = link_errors(arm)

@@ -1,8 +1,8 @@
-"""Statistics of position errors and of repeated positions: every figure is defined here once.
+"""Statistics of position errors and of repeated positions: each figure is defined here only.
 
-Arrays in mm; vectors (N, 3), lengths (N,). ISO 9283 is the edition of 1998, the GUM is JCGM
-100:2008. Names and docstrings say whether a figure is of one coordinate or of a 3D length: in root
-mean squares the length is sqrt(3) times larger, and the mean of lengths lies between the two.
+Arrays in mm; vectors (N, 3), lengths (N,). ISO 9283:1998; GUM is JCGM 100:2008. Names and
+docstrings distinguish figures of one coordinate from those of a 3D length, sqrt(3) times larger in
+root mean squares; the mean of lengths lies between.
 """
 
 from __future__ import annotations
@@ -54,9 +54,8 @@ def repeatability_mm(distances_mm: Array) -> float:
 
 
 def pooled_std_mm(clouds_mm: Sequence[Array]) -> float:
-    """Return the standard deviation of one coordinate, pooled over clouds (N_i, 3) (GUM 4.2.4).
-
-    Each cloud spends one degree of freedom a coordinate on its own mean.
+    """Standard deviation of one coordinate, pooled over clouds (N_i, 3) (GUM 4.2.4). Each cloud
+    spends one degree of freedom a coordinate on its own mean.
     """
     squares = sum(float(np.square(cloud - cloud.mean(axis=0)).sum()) for cloud in clouds_mm)
     return math.sqrt(squares / (3 * sum(len(cloud) - 1 for cloud in clouds_mm)))
@@ -98,9 +97,8 @@ def f_quantile(share: float, above: float, below: float) -> float:
 
 
 def coverage_factor(sigmas: float, freedom: float) -> float:
-    """Return the factor of an estimated standard deviation with the risk of ``sigmas`` known ones.
-
-    Student's t of so many degrees of freedom (GUM G.3).
+    """Factor of an estimated standard deviation with the risk of ``sigmas`` known ones. Student's t
+    (GUM G.3).
     """
     from scipy.special import ndtr, stdtrit
 
@@ -120,22 +118,21 @@ def rectangular_variance(half_width: float) -> float:
 
 
 def reading_variances_mm2(std_mm: ArrayLike, samples: ArrayLike) -> Array:
-    """Return the variances (N, 3) of averaged readings (GUM 4.2.3, eq 5).
-
-    ``std_mm`` (N, 3) is that of a single reading, ``samples`` (N,) how many were averaged.
+    """Variances (N, 3) of averaged readings (GUM 4.2.3, eq 5). ``std_mm`` (N, 3): of a single
+    reading; ``samples`` (N,): number averaged.
     """
     return np.asarray(np.square(np.asarray(std_mm, dtype=float)) / np.asarray(samples)[:, None])
 
 
 def bounds95_mm(covariances_mm2: ArrayLike, freedom: ArrayLike = math.inf) -> Array:
-    """Return the lengths (N,) that 95 % of 3D errors keep, of their covariances (N, 3, 3).
+    """95 % bounds (N,) of 3D errors by their covariances (N, 3, 3).
 
-    ``|e|^2`` is a quadratic form of normal variables. It is taken as ``g`` times chi^2 of ``h``
-    degrees of freedom with the same mean and variance (Satterthwaite 1946; Box 1954, theorem
-    3.1): ``g h = tr C``, ``h = (tr C)^2 / tr C^2``, from 1 for one direction to 3 for a sphere. It
-    is exact where all variances are equal or nought, else within 1.5 % of the length. ``freedom``
-    (N,) is that of the estimate of tr C, as `effective_freedom` gives it: chi^2 / h then becomes
-    F(h, freedom). Not a number where a covariance is none.
+    ``|e|^2`` is a quadratic form of normal variables, approximated by ``g`` times chi^2 of ``h``
+    degrees of freedom with the same mean and variance (Satterthwaite 1946; Box 1954, theorem 3.1):
+    ``g h = tr C``, ``h = (tr C)^2 / tr C^2``, from 1 for one direction to 3 for a sphere. Exact
+    where all variances are equal or 0, else within 1.5 % of the length. ``freedom`` (N,) is that of
+    the estimate of tr C, as of `effective_freedom`: chi^2 / h becomes F(h, freedom). NaN for an
+    invalid covariance.
     """
     from scipy.special import fdtri
 
@@ -148,10 +145,10 @@ def bounds95_mm(covariances_mm2: ArrayLike, freedom: ArrayLike = math.inf) -> Ar
 
 
 def effective_freedom(traces_mm2: ArrayLike, freedom: ArrayLike) -> Array:
-    """Return the degrees of freedom (N,) of sums of variances (Welch-Satterthwaite, GUM eq G.2b).
+    """Degrees of freedom (N,) of sums of variances (Welch-Satterthwaite, GUM eq G.2b).
 
-    ``traces_mm2`` (K, N) are the sums' parts, ``freedom`` (K,) that of each estimate, infinite
-    where it is taken as known.
+    ``traces_mm2`` (K, N): parts of the sums; ``freedom`` (K,): of each estimate, infinite where
+    known.
     """
     traces = np.asarray(traces_mm2, dtype=float)
     spread = (traces**2 / np.asarray(freedom, dtype=float)[:, None]).sum(axis=0)
@@ -160,10 +157,10 @@ def effective_freedom(traces_mm2: ArrayLike, freedom: ArrayLike) -> Array:
 
 
 def trace_freedom(covariance_mm2: ArrayLike, samples: int) -> float:
-    """Return the degrees of freedom of the trace of a covariance (3, 3) from ``samples`` vectors.
+    """Degrees of freedom of the trace of a covariance (3, 3) from ``samples`` vectors.
 
-    ``samples`` are those that count: each mean taken off costs one. The trace scatters as a chi^2
-    of ``samples (tr C)^2 / tr C^2``: each vector has one to three independent coordinates.
+    ``samples``: those that count, each subtracted mean costs one. The trace scatters as a chi^2 of
+    ``samples (tr C)^2 / tr C^2``: each vector has one to three independent coordinates.
     """
     covariance = np.asarray(covariance_mm2, dtype=float)
     squares = float(np.square(covariance).sum())
@@ -174,11 +171,10 @@ def trace_freedom(covariance_mm2: ArrayLike, samples: int) -> float:
 class BeamNoise:
     """Variances of a single reading: along the beam, and across it at a range of 1 m.
 
-    The noise is a length along the beam and an angle across it: the scatter at many places gives
+    The noise is a length along the beam and an angle across it, so the scatter at many places gives
     that at any other. A few readings at one place say little: the spread of 2 along a beam is half
-    the noise or less in 38 % of all places. Positions are in the tracker's frame.
-
-    ``freedom`` are the degrees of freedom that they are estimated with.
+    the noise or less in 38 % of all places. Tracker's frame. ``freedom``: degrees of freedom of the
+    estimate.
     """
 
     along_mm2: float
@@ -195,11 +191,10 @@ class BeamNoise:
 
 
 def beam_noise(at_mm: Array, std_mm: ArrayLike, samples: ArrayLike) -> BeamNoise:
-    """Return the noise that the scatter of readings at places (N, 3) shows, N >= 1.
+    """Noise shown by the scatter of readings at places (N, 3), N >= 1.
 
-    ``std_mm`` (N, 3) are those of a single reading, axes of the tracker, from so many ``samples``
-    (N,); one sample states what the instrument says of itself. Least squares with weights as of
-    variances, none of both below nought.
+    ``std_mm`` (N, 3): of a single reading, axes of the tracker, from ``samples`` (N,); one sample:
+    as the instrument states. Least squares with weights as of variances, both non-negative.
     """
     beams, range_m2 = _beams(at_mm)
     freedom = np.maximum(np.asarray(samples, dtype=float) - 1.0, 1.0)

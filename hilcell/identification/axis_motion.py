@@ -1,10 +1,9 @@
-"""One axis at constant speed, as a tracker's stream and the joints' readings show it.
+"""One axis at constant speed, by a tracker's stream and joint readings.
 
-Tracker and robot have no clock in common. A sample was taken before it arrived, and a joint was
-read between question and answer; how long before is unknown. So a constant lag is left between
-both, which `hilcell.identification.sweeps` finds from the two directions of a sweep. Readings are
-never paired one by one: the joints give one straight line in time, the tracker its deviations. A
-controller that says when it took its joints is related to the cell's clock as the tracker is.
+Tracker and robot have no common clock: delays leave a constant lag, determined by
+`hilcell.identification.sweeps` from the two directions of a sweep. Readings are never paired one by
+one: the joints give one straight line in time, the tracker its deviations. A controller that
+time-stamps its joints is related to the cell's clock as the tracker is.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ LEAST_SAMPLES, LEAST_READINGS = 100, 12
 
 
 class BadStream(HilcellError):
-    """A sweep whose streams cannot be used; the message names why."""
+    """A sweep with unusable streams; the message names the reason."""
 
     code = "HC-V06"
 
@@ -62,9 +61,8 @@ class SweepStream:
             )
 
     def joint_line(self, axis: int, angle_rad: Array) -> tuple[float, float, float, float]:
-        """Return the line through the axis's readings at the constant speed of the sweep.
-
-        A time in the cell's, the joint then, its speed, and the standard uncertainty of the time.
+        """Line through the axis's readings at the constant speed of the sweep. Time in the cell's,
+        joint angle then, speed, and the standard uncertainty of the time.
         """
         others = np.delete(self.joints_rad, axis, axis=1)
         moved_rad = np.ptp(others, axis=0).max()
@@ -99,8 +97,8 @@ class SweepStream:
         return centre_s, float(middle), float(slope), clock_s
 
     def _read_times(self) -> tuple[Array, Bools, float]:
-        """Return when joints were read (M,), in the cell's time, and which were answered promptly;
-        with the standard uncertainty of all.
+        """Times of joint readings (M,), in the cell's time, and which were answered promptly. With
+        the standard uncertainty of all.
         """
         waited_s = np.ptp(self.asked_s, axis=1)
         if bool(np.all(np.isnan(self.stamped_s))):
@@ -110,7 +108,7 @@ class SweepStream:
         return self.stamped_s + offset_s, np.ones(len(waited_s), dtype=bool), clock_s
 
     def turned_rad(self, arm: Arm, axis: int) -> Array:
-        """Return the angle (N,) of ``axis`` by the reflector's place on its nominal circle."""
+        """Angle (N,) of ``axis`` by the reflector's position on its nominal circle."""
         start_rad = np.median(self.joints_rad, axis=0)
         before = np.eye(4)
         for link in link_transforms(arm, start_rad)[:axis]:
@@ -139,9 +137,9 @@ class SweepStream:
 class Motion:
     """The part at constant speed: N samples in order of time.
 
-    ``joint_rad`` (N,) is where the controller's readings have the axis at each sample, but for the
-    lag; ``error_rad`` (N,) by how much more it is rotated by the tracker. ``clock_s`` is the
-    standard uncertainty of the relation between both clocks, apart from its lag.
+    ``joint_rad`` (N,): the axis by the controller's readings at each sample, except for the lag;
+    ``error_rad`` (N,): additional rotation measured by the tracker; ``clock_s``: standard
+    uncertainty of the relation between both clocks, apart from its lag.
     """
 
     joint_rad: Array
@@ -199,7 +197,7 @@ def _between_ends(angle_rad: Array) -> slice:
 
 
 def _without_spikes(angle_rad: Array) -> Bools:
-    """Return which samples (N,) lie between their neighbours; many that do not are no spikes."""
+    """Which samples (N,) lie between their neighbours; many that do not are no spikes."""
     near = np.lib.stride_tricks.sliding_window_view(angle_rad, 5)
     off_rad = np.zeros(len(angle_rad))
     off_rad[2:-2] = np.abs(near[:, 2] - np.median(near[:, [0, 1, 3, 4]], axis=1))
@@ -214,7 +212,7 @@ def _without_spikes(angle_rad: Array) -> Bools:
 
 
 def _check_even(time_s: Array, angle_rad: Array) -> None:
-    """Refuse an axis that was slowed, and a time that steps while the axis turns on."""
+    """Refuse an axis that was slowed, and times that jump while the axis moves."""
     steps_s = np.diff(time_s)
     speed_rad_s = float(np.median(np.diff(angle_rad) / steps_s))
     unlike = 0.5  # share by which a step in time differs from the others
@@ -243,10 +241,10 @@ def _check_even(time_s: Array, angle_rad: Array) -> None:
 
 
 def _clock(time_s: Array, window_s: Array) -> tuple[float, float]:
-    """Return how far the cell's clock is ahead of ``time_s``, and its standard uncertainty.
+    """Offset of the cell's clock from ``time_s``, and its standard uncertainty.
 
-    A sample had been taken when it arrived: the quickest arrivals tell the offset best. A device's
-    clock runs 100 ppm wrong at most, which is nothing over a sweep.
+    A sample precedes its arrival: the quickest arrivals determine the offset. A clock error of 100
+    ppm is negligible over a sweep.
     """
     late_s = window_s[:, 1] - time_s
     halves = np.array_split(late_s, 2)

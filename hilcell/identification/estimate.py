@@ -1,14 +1,12 @@
-"""The most probable kinematics of measured poses, robust against gross readings.
+"""The most probable kinematics of measured poses, robust against outliers.
 
-Levenberg-Marquardt with the analytic Jacobian and priors. First under a loss whose pull fades with
-distance (Cauchy), which a few gross readings do not move; those are then struck out and named,
-and the noise is estimated from the rest by marginal likelihood.
+Levenberg-Marquardt with the analytic Jacobian and priors, first with a Cauchy loss; outliers are
+then rejected and named, and the noise is estimated from the rest by marginal likelihood.
 
-Each Gauss-Newton step is a linear-Gaussian system of readings and prior. With readings r = A x + v,
-x ~ N(m, Q) and v ~ N(0, C), block by block of a pose, the posterior is found from the whitened rows
-by one factorisation. P is the inverse of the readings' whole covariance A Q A' + C; with it every
-pose's prediction by all others follows without another solution: r_F less its prediction is
-(P_FF)^-1 (P r)_F for poses F left out together.
+Each Gauss-Newton step is a linear-Gaussian system, r = A x + v, x ~ N(m, Q) and v ~ N(0, C), block
+by block of a pose, solved by one factorisation of the whitened rows. P is the inverse of A Q A' +
+C; it also gives every pose's prediction by all others: r_F less its prediction is (P_FF)^-1 (P r)_F
+for poses F left out together.
 """
 
 from __future__ import annotations
@@ -40,10 +38,10 @@ DETERMINED = 0.5  # of the prior's standard deviation: below, the data say more 
 def predict(
     kinematics: Kinematics, state: State, covariance: Array, noise: Noise, joints_rad: Array
 ) -> tuple[Array, Array]:
-    """Return positions (M, K, 3) at commanded joints (M, 6) and their covariances (M, K, 3, 3).
+    """Positions (M, K, 3) at commanded joints (M, 6) and their covariances (M, K, 3, 3).
 
-    Covered are the parameters' ``covariance`` (P, P), and one visit's scatter as the identification
-    met it: repeatability, and what no parameter describes. The reading is not.
+    Of the parameters' ``covariance`` (P, P) and one visit's scatter as identified (repeatability,
+    and what no parameter describes); without the reading.
     """
     count = len(joints_rad)
     positions = np.empty((count, kinematics.reflectors, 3))
@@ -62,11 +60,10 @@ def predict(
 def predict_orientations(
     kinematics: Kinematics, state: State, covariance: Array, noise: Noise, joints_rad: Array
 ) -> tuple[Array, Array]:
-    """Return orientations (M, 3, 3) of the flange at commanded joints (M, 6), and the covariances
-    (M, 3, 3) of their rotation vectors.
+    """Orientations (M, 3, 3) of the flange at commanded joints (M, 6), and their covariances.
 
-    The reflectors define the orientation. A turn of them on the flange that a turn of the last link
-    takes back moves none: no reading tells it, and it counts for nothing.
+    (M, 3, 3), of rotation vectors. The reflectors define the orientation: their rotation on the
+    flange that a rotation of the last link compensates is unobservable, and does not count.
     """
     true_rad = kinematics.joints_of(state, joints_rad)
     R = (state.T @ forward(kinematics.arm_of(state), true_rad))[:, :3, :3]
@@ -85,7 +82,7 @@ def predict_orientations(
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """The state and noise found, the system at the solution, and ``outliers`` (M, K)."""
+    """Estimated state and noise, the system at the solution, and ``outliers`` (M, K)."""
 
     kinematics: Kinematics
     readings: Readings
@@ -106,12 +103,10 @@ class Estimate:
 def identify(
     kinematics: Kinematics, readings: Readings, start: State, noise: Noise | None = None
 ) -> Estimate:
-    """Return the most probable kinematics from `LEAST_POSES` poses or more.
+    """Most probable kinematics from `LEAST_POSES` poses or more.
 
-    The sources of ``noise`` are estimated, those of readings and poses where none are given.
-
-    Raises `IdentificationError` where there are fewer, where the steps do not settle, and where
-    too many readings are gross.
+    The sources of ``noise`` are estimated, those of readings and poses where none are given. Raises
+    `IdentificationError` for fewer poses, no convergence, or too many outliers.
     """
     _refuse_too_few(readings)
     state, outliers = _robust(kinematics, readings, start)
@@ -129,7 +124,7 @@ def identify(
 def identify_trusted(
     kinematics: Kinematics, readings: Readings, start: State, noise: Noise | None = None
 ) -> Estimate:
-    """Return the same from readings of which none is gross."""
+    """The same from readings without outliers."""
     _refuse_too_few(readings)
     noise = noise or Noise.of_poses(kinematics.reflectors)
     state, _ = solve(kinematics, readings, start, noise)
@@ -148,11 +143,10 @@ def identify_trusted(
 def solve(
     kinematics: Kinematics, readings: Readings, state: State, noise: Noise
 ) -> tuple[State, System]:
-    """Return the most probable state under a noise, and the system there; raises
-    `IdentificationError`.
+    """Most probable state under a noise, and the system there; raises `IdentificationError`.
 
-    What the readings do not determine (with one orientation, where the reflector is) lies along
-    curved valleys. Steps across them are held back, and creeping along them ends by itself.
+    What the readings do not determine (with one orientation, the reflector's position) lies along
+    curved valleys: steps across them are damped, and creeping along them ends by itself.
     """
     system, damping, gain = System.at(kinematics, state, readings, noise), 0.0, np.inf
     iterations = 100
@@ -177,7 +171,7 @@ def solve(
 
 
 def _robust(kinematics: Kinematics, readings: Readings, state: State) -> tuple[State, Bools]:
-    """Return a state that gross readings did not move, and these readings (M, K)."""
+    """A state that is robust against outliers, and these (M, K)."""
     scale_mm, least_scale_mm = 0.5, 0.005
     known = readings.known
     lengths_mm = np.zeros(known.shape)
@@ -202,7 +196,7 @@ def _robust(kinematics: Kinematics, readings: Readings, state: State) -> tuple[S
 
 
 def _gross(system: System) -> Bools:
-    """Return the readings (M, K) that all others contradict: single ones, or else whole poses."""
+    """Readings (M, K) that all others contradict: single ones, or else whole poses."""
     readings, poses = system.distances()
     single: Bools = system.known & (readings > GROSS**2)
     if single.any():
@@ -235,8 +229,8 @@ def _refuse_too_many(outliers: Bools, readings: Readings) -> None:
 class System:
     """Rows of M poses with N = 3 K readings each; rows of unknown readings are zero.
 
-    ``design`` (M, N, P), ``residual_mm`` (M, N), ``noise_mm2`` (M, N, N) with a variance of 1 in
-    unknown rows; ``prior_root`` (P, P) whitens the prior, ``pull`` (P,) is its whitened residual.
+    ``design`` (M, N, P), ``residual_mm`` (M, N), ``noise_mm2`` (M, N, N) with variance 1 in unknown
+    rows; ``prior_root`` (P, P) whitens the prior, ``pull`` (P,) is its whitened residual.
     """
 
     design: Array
@@ -257,7 +251,6 @@ class System:
         cls, kinematics: Kinematics, state: State, readings: Readings, noise: Noise,
         linearised: Linearised,
     ) -> System:  # fmt: skip
-        """Return the system of a linearisation that is known."""
         known, count = readings.known, len(readings)
         residual = np.where(known[..., None], readings.xyz_mm - linearised.positions_mm, 0.0)
         design = linearised.by_parameter.copy()
@@ -345,9 +338,8 @@ class System:
         return -0.5 * (chi2 + log_noise + log_posterior - log_prior)
 
     def left_out_mm(self, folds: Iterable[Ints]) -> Array:
-        """Return measured less predicted (M, K, 3), by folds (F,) of poses left out together.
-
-        NaN where nothing was measured, and in poses of no fold.
+        """Measured less predicted (M, K, 3), by folds (F,) of poses left out together. NaN for
+        unknown readings and poses of no fold.
         """
         count, rows = self.residual_mm.shape
         missed: Array = np.full((count, rows), np.nan)
@@ -357,10 +349,8 @@ class System:
         return np.where(self.known[..., None], missed.reshape(count, -1, 3), np.nan)
 
     def excess(self, folds: Iterable[Ints]) -> float:
-        """Return the mean square of the misses by folds of poses left out over its expectation.
-
-        About 1 where poses err independently; more where those of a fold err alike, so that all
-        others are taken to know more than they do.
+        """Mean square of left-out errors by folds of poses, over its expectation. About 1 where
+        poses err independently; more where those of a fold err alike.
         """
         found = expected = 0.0
         for fold in folds:
@@ -383,8 +373,8 @@ class System:
         return P
 
     def distances(self) -> tuple[Array, Array]:
-        """Return squared Mahalanobis distances of the readings (M, K) and of whole poses (M,), each
-        from what all others predict.
+        """Squared Mahalanobis distances of readings (M, K) and whole poses (M,) from the prediction
+        by all others.
         """
         g = self.weighted
         poses = np.einsum("mi,mi->m", g, np.linalg.solve(self.precision, g[..., None])[..., 0])
@@ -400,9 +390,9 @@ class System:
 class Observability:
     """``ratio`` (P,): posterior over prior standard deviation of each parameter.
 
-    ``directions``: how many combinations of parameters the data determine better than the prior;
-    ``effective``: the degrees of freedom that they spend; ``condition``: of these combinations,
-    how much better the best is known than the worst.
+    ``directions``: number of combinations of parameters that the data determine better than the
+    prior; ``effective``: their degrees of freedom; ``condition``: ratio of the best to the worst
+    determined of them.
     """
 
     ratio: Array
@@ -425,10 +415,10 @@ def observability(system: System) -> Observability:
 
 
 def triangle(*blocks: Array) -> Array:
-    """Return R (P, P), upper triangular, with R'R = A'A of rows A (N, P), given in blocks.
+    """R (P, P), upper triangular, with R'R = A'A of rows A (N, P), given in blocks.
 
-    By A'A, which has half of A's digits, where its columns differ enough to leave the others; else
-    by an orthogonal factorisation, which takes three times as long.
+    By A'A, which has half of A's digits, where its columns differ enough; else by an orthogonal
+    factorisation, three times slower.
     """
     squares = np.sum([rows.T @ rows for rows in blocks], axis=0)
     scale = np.sqrt(np.diag(squares))

@@ -1,9 +1,9 @@
 """A smooth error of each joint that depends on all joints, and that no parameter describes.
 
-A Gaussian process: joint j errs by s_j times a random function of the six joints, which is once
-differentiable (Matern 5/2) and has one length scale a joint. It acts through the joints'
-derivatives, so all reflectors of a pose share it. It is estimated together with the parameters, or
-else these would have absorbed a part of it.
+A Gaussian process: joint j errs by s_j times a random function of the six joints, once
+differentiable (Matern 5/2), with one length scale a joint. It acts through the joints' derivatives,
+so all reflectors of a pose share it. It is estimated together with the parameters, which would
+otherwise absorb a part of it.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ class Kernel:
     length_rad: Array
 
     def correlation(self, a_rad: Array, b_rad: Array) -> tuple[Array, Array]:
-        """Return the correlations (A, B) at joints (A, 6) and (B, 6), and minus twice their
-        derivatives by the squared distance in length scales.
+        """Correlation (A, B) of joints (A, 6) and (B, 6), and its derivative times -2. By the
+        squared distance in length scales.
         """
         a, b = a_rad / self.length_rad, b_rad / self.length_rad
         square = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2.0 * a @ b.T
@@ -41,8 +41,8 @@ class Kernel:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """The known rows (N) of an estimate: design (N, P), residual (N,), noise (N, N), the joints'
-    levers (N, 6), and the pose (N,) of each; joints (M, 6).
+    """Known rows (N) of an estimate: design (N, P), residual (N,), noise (N, N). The joints' levers
+    (N, 6) and pose (N,) of each row; joints (M, 6).
     """
 
     design: Array
@@ -127,8 +127,8 @@ class _Solved:
 class WithResidual:
     """Kinematics and residual, estimated together; the noise is the kinematics' times a scale.
 
-    Scales that explain the poses best may state too little: all covariances are multiplied by
-    ``doubt``, 1 or what poses left out show to be missing.
+    The most probable scales may understate: covariances are multiplied by ``doubt``, at least 1, by
+    poses left out.
     """
 
     base: Estimate

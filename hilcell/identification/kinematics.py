@@ -1,18 +1,15 @@
-"""A robot with kinematic errors: its unknown parameters, and where its reflectors then are.
+"""A robot with kinematic errors: its unknown parameters, and the resulting reflector positions.
 
-Unknown are the base frame, the reflectors on the flange, the link parameters after Denavit,
-Hartenberg and Hayati, the deflection of axes 2 and 3 by gravity and of all by a tool's weight, one
-and two waves a revolution of each joint, and the amplitudes and shift of given transmission curves.
-Many of them do the same to a tool point (d of the parallel axes 2 and 3, base and first link,
-reflector and last link); priors decide between those, so the parameters may be arbitrary where the
-positions are not.
+Unknown are the base frame, the reflectors on the flange, the link parameters (Denavit, Hartenberg,
+Hayati), the deflection of axes 2 and 3 by gravity and of all by a tool's weight, one and two waves
+a revolution of each joint, and the amplitudes and shift of given transmission curves. Many have the
+same effect (d of the parallel axes 2 and 3, base and first link, reflector and last link); priors
+decide, so the parameters may be arbitrary where the positions are not.
 
-Gravity loads the axes by the arm's own weight, and by the weight of a tool. The base's z is taken
-as vertical, up or down. A link whose mass lies on its line loads an axis behind it by the cosine of
-its slope against the horizontal; mass beside the line adds the sine. A tool loads every axis, by a
-lever to the flange and by one from there to its centre of mass, of which nothing is known: one
-coefficient for each of its coordinates. A coefficient is a joint's deflection (rad) where its load
-is greatest.
+Gravity acts along the base's z, up or down. A link whose mass lies on its line loads an axis behind
+it by the cosine of its slope against the horizontal; mass beside the line adds the sine. A tool
+loads every axis, by a lever to the flange and one from there to its unknown centre of mass: one
+coefficient for each coordinate. A coefficient is a joint's deflection (rad) at the greatest load.
 """
 
 from __future__ import annotations
@@ -31,10 +28,10 @@ from hilcell.geometry.kinematics import Arm, Array, forward, link_transforms
 class TransmissionCurve:
     """Joint error ``sum_k A_k cos(n_k q) + B_k sin(n_k q)`` (rad) at commanded angles q (rad).
 
-    ``cycles`` (K,) are n_k, ``amplitude_rad`` (K, 2) are A_k and B_k, ``covariance_rad2``
-    (2K, 2K) theirs in the order A_1, B_1, A_2, ... K may be 0. The sweep tells q only up to a
-    constant, the lag between tracker and controller: the curve holds at ``q + shift_rad``, which is
-    known to ``shift_sigma_rad``.
+    ``cycles`` (K,) are n_k, ``amplitude_rad`` (K, 2) are A_k and B_k, ``covariance_rad2`` (2K, 2K)
+    in the order A_1, B_1, A_2, ... K may be 0. The sweep determines q only up to the constant lag
+    between tracker and controller: the curve is valid at ``q + shift_rad``, with
+    ``shift_sigma_rad``.
     """
 
     axis: int
@@ -70,10 +67,10 @@ ORDERS = (1, 2)
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Values of what is unknown: base frame {B} in the readings' frame (4, 4), reflectors (K, 3)
-    on the flange, and the joints' and links' parameters (V,) as differences from nominal.
+    """Values of the unknowns: base frame {B} in the readings' frame (4, 4), reflectors (K, 3) on
+    the flange, and the joints' and links' parameters (V,) as differences from nominal.
 
-    ``moved`` (P - V,) is how far base and reflectors have come from where they were assumed.
+    ``moved`` (P - V,): base and reflectors against their assumed values.
     """
 
     T: Array
@@ -95,7 +92,7 @@ class Linearised:
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """Standard deviations of where base and reflectors are assumed to be."""
+    """Standard deviations of the assumed base and reflectors."""
 
     base_mm: float = 1000.0
     base_rad: float = 1.0
@@ -104,10 +101,10 @@ class Placed:
 
 @dataclass(frozen=True, eq=False)
 class Kinematics:
-    """Which errors a robot may have. ``arm`` is nominal, its tool frame is not used.
+    """Possible errors of a robot; ``arm`` is nominal, its tool frame is not used.
 
-    P parameters are ordered: base (shift in mm, rotation vector about its origin), reflectors,
-    links by kind and row, then, where they are asked for, gravity, waves, tool, curves.
+    Order of the P parameters: base (shift in mm, rotation vector about its origin), reflectors,
+    links by kind and row, then, if requested, gravity, waves, tool, curves.
     """
 
     arm: Arm
@@ -158,9 +155,8 @@ class Kinematics:
 
     @cached_property
     def prior(self) -> tuple[Array, Array]:
-        """Return the parameters' prior mean (P,) and covariance (P, P).
-
-        Base and reflectors count from where they were assumed.
+        """The parameters' prior mean (P,) and covariance (P, P). Base and reflectors count from
+        their assumed values.
         """
         length_mm, angle_rad = 1.0, 2e-3  # prior sigmas of link parameters
         links = [length_mm if kind.endswith("mm") else angle_rad for kind in KINDS]
@@ -203,17 +199,16 @@ class Kinematics:
         return State(T, smr_mm, state.values + step[self.placed :], moved)
 
     def arm_of(self, state: State) -> Arm:
-        """Return the arm with the state's link parameters, its tool point on the flange."""
         by_kind = state.values[:LINKS].reshape(len(KINDS), 6)
         changed = {kind: getattr(self.arm, kind) + by_kind[n] for n, kind in enumerate(KINDS)}
         return replace(self.arm, tool=np.eye(4), **changed)
 
     def joints_of(self, state: State, joints_rad: Array) -> Array:
-        """Return the joint angles (M, 6) that the links really have at commanded ones (M, 6)."""
+        """True joint angles (M, 6) at commanded ones (M, 6)."""
         return self._bent(state, joints_rad)[0]
 
     def positions_mm(self, state: State, joints_rad: Array) -> Array:
-        """Return where the reflectors are (M, K, 3) at commanded joints (M, 6)."""
+        """Positions of the reflectors (M, K, 3) at commanded joints (M, 6)."""
         flange = state.T @ forward(self.arm_of(state), self.joints_of(state, joints_rad))
         return self._carried(flange, state.smr_mm)
 
@@ -253,8 +248,8 @@ class Kinematics:
         return axes
 
     def _bent(self, state: State, joints_rad: Array) -> tuple[Array, Array]:
-        """Return the true joints (M, 6), and by parameter behind the links how much it turns its
-        joint (M, V - 30).
+        """True joints (M, 6), and the rotation of its joint by each parameter behind the links (M,
+        V - 30).
         """
         joints = np.asarray(joints_rad, dtype=float)
         blocks = [_steady(self, joints.tobytes())]
@@ -291,9 +286,7 @@ class Kinematics:
 
 @lru_cache(maxsize=2)
 def _steady(kinematics: Kinematics, joints: bytes) -> Array:
-    """Return the basis at commanded joints (M, 6) as far as it does not depend on the state: every
-    step of an identification asks for it.
-    """
+    """Basis at commanded joints (M, 6) as far as independent of the state, cached for all steps."""
     at = np.frombuffer(joints).reshape(-1, 6)
     blocks = [np.zeros((len(at), 0))]
     if kinematics.gravity:
@@ -331,8 +324,8 @@ def gravity_basis(arm: Arm, joints_rad: Array) -> Array:
 
 
 def tool_basis(arm: Arm, joints_rad: Array) -> Array:
-    """Return a tool's loads (..., 24), -1 .. 1: of each axis in turn by the flange's lever, over
-    the longest there is, and by a mass off the flange along its x, y and z.
+    """A tool's loads (..., 24), -1 .. 1: of each axis, by the flange's lever, over the longest
+    there is, and by a mass off the flange along its x, y and z.
     """
     links = link_transforms(arm, joints_rad)
     frames = [np.broadcast_to(np.eye(4), links[..., 0, :, :].shape)]
@@ -349,7 +342,7 @@ def tool_basis(arm: Arm, joints_rad: Array) -> Array:
 
 
 def _lever(axis: Array, link: Array) -> Array:
-    """Return how fast a link's tip rises per turn about an axis: the cosine of its slope."""
+    """Rise of a link's tip per rotation about an axis: the cosine of its slope."""
     return axis[..., 0] * link[..., 1] - axis[..., 1] * link[..., 0]
 
 

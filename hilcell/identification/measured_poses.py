@@ -1,13 +1,13 @@
-"""Static poses that were measured, and how far their readings scatter about a smooth model.
+"""Static poses that were measured, and the scatter of their readings about a smooth model.
 
-One row is a pose, one column a reflector. The scatter is estimated from the poses themselves, and
-has three sources: the tracker's own beyond what the readings' covariance says, independent from
-reading to reading; a shift common to all reflectors of a pose; and the joints' (repeatability, and
-short waves of gears that no parameter describes). One that is zero is absent and stays so.
+One row is a pose, one column a reflector. The scatter is estimated from the poses, with three
+sources: the tracker's beyond the readings' covariance, independent from reading to reading; a shift
+common to all reflectors of a pose; and the joints' (repeatability, short waves of gears). A source
+of zero stays zero.
 
-Several reflectors are not described by noise of the joints alone: where the wrist is nearly
-singular it claims that the robot cannot miss in some direction, and the few poses there outweigh
-all others (two real robots, `docs/decisions/0010-kinematic-identification.md`).
+Joint noise alone does not describe several reflectors: at a nearly singular wrist it excludes
+errors in some direction, and the few poses there outweigh all others (two real robots,
+`docs/decisions/0010-kinematic-identification.md`).
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from hilcell.ports import HilcellError
 
 
 class IdentificationError(HilcellError):
-    """Poses from which a robot's kinematics cannot be found."""
+    """Poses that do not identify a robot's kinematics."""
 
     code = "HC-C22"
 
 
 class ManyContradict(IdentificationError):
-    """More readings contradict the others than slips explain."""
+    """More outliers than slips explain."""
 
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """M poses: joints commanded (M, 6) in rad, and where K reflectors were then, (M, K, 3) in mm.
+    """M poses: joints commanded (M, 6) in rad, and positions of K reflectors, (M, K, 3) in mm.
 
-    A reflector that was not measured is NaN. ``covariance_mm2`` (M, K, 3, 3) is that of each
-    averaged reading, zero where it is unknown. The frame is the caller's: {B}, or a tracker's.
+    NaN: not measured. ``covariance_mm2`` (M, K, 3, 3) is that of each averaged reading, zero where
+    unknown. The frame is the caller's: {B}, or a tracker's.
     """
 
     joints_rad: Array
@@ -69,11 +69,11 @@ SAME_RAD = np.radians(0.05)  # joints that differ by no more lead to the same er
 
 
 def pose_numbers(joints_rad: Array) -> Ints:
-    """Return the number (N,) of each row's pose, counted from 0.
+    """Number (N,) of each row's pose, from 0.
 
-    All joints (N, 6) of a pose are within `SAME_RAD` of its first in ascending order. So poses
-    along a line of small steps do not become one. Labels do not say it: a pose that is measured
-    again has another number, but the same errors. The rows' order does not matter.
+    All joints (N, 6) of a pose are within `SAME_RAD` of its first in ascending order, so that poses
+    along a line of small steps stay distinct. Labels do not help: a re-measured pose has another
+    label, but the same errors. The rows' order does not matter.
     """
     different, of_row = np.unique(joints_rad, axis=0, return_inverse=True)
     number: Ints = np.full(len(different), -1)
@@ -91,9 +91,8 @@ def count_poses(joints_rad: Array) -> int:
 
 
 def places_of(joints_rad: Array) -> Array:
-    """Return the place of each row (N,) in a scattered order of the poses, from 0 to less than 1.
-
-    One part of the order holds poses of the whole space.
+    """Place of each row (N,) in a scattered order of the poses, from 0 to less than 1. Any part of
+    the order samples the whole space.
     """
     golden = (5.0**0.5 - 1.0) / 2.0  # its multiples scatter evenly, in step with no lattice
     return np.asarray(pose_numbers(joints_rad) * golden % 1.0, dtype=float)
@@ -116,7 +115,6 @@ class Noise:
 
     @classmethod
     def of_poses(cls, reflectors: int) -> Noise:
-        """Return noise of readings, and with several reflectors of poses, to be estimated."""
         pose_mm = cls.TYPICAL_MM if reflectors > 1 else 0.0
         return cls(cls.TYPICAL_MM, pose_mm, np.zeros(6))
 
@@ -139,10 +137,10 @@ class Noise:
         return scatter + (self.reading_mm**2 + self.pose_mm**2) * np.eye(3)
 
     def covariance(self, by_joint: Array, own_mm2: Array, known: Bools) -> Array:
-        """Return the covariances (M, 3K, 3K) of the poses' readings.
+        """Covariances (M, 3K, 3K) of the poses' readings.
 
-        ``by_joint`` (M, K, 3, 6) and each reading's own covariance (M, K, 3, 3). An unknown
-        reading (M, K) has variance 1 and no part in the others.
+        ``by_joint`` (M, K, 3, 6) and each reading's own covariance (M, K, 3, 3). An unknown reading
+        (M, K) has variance 1 and no effect on others.
         """
         levers, shifts = self._joined(by_joint, known), self._shifts(known)
         C: Array = np.einsum("mij,j,mkj->mik", levers, self.joint_rad**2, levers)
@@ -154,7 +152,7 @@ class Noise:
         return C
 
     def improved(self, weighted: Array, precision: Array, by_joint: Array, known: Bools) -> Noise:
-        """Return the estimate after one step that cannot lower the marginal likelihood.
+        """Estimate after one step that cannot lower the marginal likelihood.
 
         ``weighted`` (M, 3K) is P y and ``precision`` (M, 3K, 3K) the blocks of P, the inverse of
         the readings' whole covariance under the prior: the MM algorithm for variance components,

@@ -1,14 +1,13 @@
-"""From two sweeps of one axis, upwards and downwards, to its transmission curve.
+"""Transmission curve of one axis from two sweeps, upwards and downwards.
 
 A lag between both streams resembles a constant error of the joint, of opposite sign in the two
-directions, and shifts the curve along the joint by as much. So the constants tell the lag, as far
-as lost motion lets them, and the lines of both directions improve it. The constant of a curve, its
-slope and its long waves are never used: frames, kinematics and gravity are in them, too.
+directions, and shifts the curve along the joint. The constants determine the lag, as far as lost
+motion allows, and the lines of both directions improve it. The constant of a curve, its slope and
+its long waves are not used: they contain frames, kinematics and gravity.
 
-Which lines there are, and how large, is found from both records at once, one a direction. They have
-smooth errors of their own, and lie apart along the joint by twice a shift. Signal is what both
-directions share; by what they differ is noise, at any frequency: so the noise may be coloured and
-need not be known beforehand.
+Lines are detected in both records at once, which have their own smooth errors and are apart along
+the joint by twice the shift. Signal is common to both directions; their difference is noise, at any
+frequency, possibly coloured and unknown beforehand.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ DIFFERS = 0.5  # of the largest line: by how much the directions may differ
 
 
 def swept_axis(up: SweepStream, down: SweepStream, arm: Arm, axis: int) -> CurveMeasured:
-    """Return the curve of ``axis`` (0 to 5) by its sweeps upwards and downwards, or why not."""
+    """Curve of ``axis`` (0 to 5) by its sweeps upwards and downwards, or why there is none."""
     motions = []
     for name, stream in (("upwards", up), ("downwards", down)):
         try:
@@ -60,7 +59,7 @@ def swept_axis(up: SweepStream, down: SweepStream, arm: Arm, axis: int) -> Curve
 
 
 def sweep_records(rising: Motion, falling: Motion) -> Records:
-    """Return both directions where both were swept; raises `BadStream`."""
+    """Records of both sweeps, limited to the common range; raises `BadStream`."""
     both = (rising, falling)
     low = max(float(motion.joint_rad.min()) for motion in both)
     high = min(float(motion.joint_rad.max()) for motion in both)
@@ -109,7 +108,7 @@ def _offset(records: Records) -> float:
 
 
 def without_curve(axis: int, reason: str, lag_s: float = 0.0) -> CurveMeasured:
-    """Return the event of an axis (0 to 5) of which there is no curve."""
+    """Event of an axis (0 to 5) without a curve."""
     return CurveMeasured(
         axis=axis + 1, reason=reason, cycles=[], amplitude_rad=[], covariance_rad2=[],
         shift_rad=0.0, shift_sigma_rad=0.0, low_rad=0.0, high_rad=0.0, noise_rad=0.0, lag_s=lag_s,
@@ -154,7 +153,7 @@ def _judged(axis: int, found: Found, rising: Motion, falling: Motion) -> CurveMe
 
 
 def transmission_curve(measured: CurveMeasured) -> TransmissionCurve:
-    """Return the curve of an event, to be used where it holds."""
+    """Curve of an event, where valid."""
     count = len(measured.cycles)
     return TransmissionCurve(
         measured.axis - 1,
@@ -177,7 +176,7 @@ LINE_RAD = 1e-4  # 1 sigma of a line's cosine and sine
 
 @dataclass(frozen=True)
 class Records:
-    """Both directions below one another: joint, error and direction of N samples."""
+    """Records of both directions, concatenated: joint, error and direction of N samples."""
 
     FREE_RAD = 0.1  # 1 sigma of constant and slope: nothing is known of them
 
@@ -210,12 +209,11 @@ class Records:
 
     @cached_property
     def directions(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the numbers of the samples upwards and downwards."""
         return np.flatnonzero(self.side > 0), np.flatnonzero(self.side < 0)
 
     @cached_property
     def smooth(self) -> Array:
-        """Return columns (N, P) of smooth errors, each direction's own, in units of 1 sigma."""
+        """Columns (N, P) of smooth errors, separate for each direction, in units of 1 sigma."""
         angle = self.angle_rad(0.0)
         # 1 sigma of the joint's harmonics below the lowest line
         smooth_rad = {1: 1e-3, 2: 5e-4, 3: 2e-4, 4: 5e-5, 5: 2e-5}
@@ -235,9 +233,8 @@ class Records:
         return self.smooth.T @ self.error_rad
 
     def equations(self, columns: Array) -> tuple[Array, Array]:
-        """Return the normal equations of the error by smooth and more columns (N, Q).
-
-        Their matrix (P + Q, P + Q) and right side (P + Q,).
+        """Normal equations of the error by smooth and more columns (N, Q). Matrix (P + Q, P + Q)
+        and right side (P + Q,).
         """
         across = self.smooth.T @ columns
         normal = np.block([[self._smooth_products, across], [across.T, columns.T @ columns]])
@@ -260,10 +257,6 @@ class Records:
         return rms(waves @ lines.amplitude_rad.ravel())
 
     def refined(self, lines: Lines, prior: Shift) -> Lines:
-        """Return the lines with amplitudes, frequencies and shift at their best together.
-
-        Gauss-Newton; smooth errors are found beside them.
-        """
         cycles, amplitude, shift_rad = lines.cycles, lines.amplitude_rad, lines.shift.rad
         count, sigma_rad, sigma = len(cycles), rms(lines.left_rad), prior.sigma_rad
         first = self.smooth.shape[1]
@@ -291,9 +284,8 @@ class Records:
         return Lines(cycles, amplitude, Shift(shift_rad, sigma), self.left_rad(columns, found))
 
     def _solved(self, columns: Array, sigma_rad: float, last: float = 0.0) -> tuple[Array, Array]:
-        """Return the best coefficients (P,) of smooth and these columns, and the inverse (P, P).
-
-        Their prior is 1 sigma = 1 about 0, of the last one about ``last``.
+        """Best coefficients (P,) of smooth and these columns, and the inverse (P, P). Their prior
+        is 1 sigma = 1 about 0, of the last one about ``last``.
         """
         normal, right = self.equations(columns)
         normal[np.diag_indices_from(normal)] += sigma_rad**2
@@ -313,7 +305,7 @@ class Shift:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """The variance of white noise as strong as the noise at a frequency; its log is a parabola."""
+    """Variance of white noise equivalent to the noise at a frequency; its log is a parabola."""
 
     CHANCE = 1e-3  # that any line at all is found where there is none
 
@@ -325,9 +317,9 @@ class Noise:
         return np.exp(_powers_of_log(cycles) @ self.coefficients)
 
     def chance(self, score: float, cycles: float) -> float:
-        """Return how likely noise has a power of ``score`` times its variance, or more.
+        """Probability of a noise power of ``score`` times its variance, or more.
 
-        Powers have two degrees of freedom. The noise is known from few frequencies itself: F
+        Powers have two degrees of freedom, and the noise is estimated from few frequencies: F
         distribution with 2 and 2 / u^2 degrees, u of the variance's logarithm.
         """
         x = _powers_of_log(cycles)
@@ -352,10 +344,8 @@ class Lines:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """The lines that are no chance, with their covariance (2K, 2K).
-
-    ``differ_rad`` is the largest amplitude by which the directions differ at one frequency, 0
-    where that may be chance.
+    """The significant lines, with their covariance (2K, 2K). ``differ_rad``: largest amplitude of
+    the difference between the directions at one frequency, 0 where it may be chance.
     """
 
     records: Records
@@ -416,9 +406,8 @@ class Explained:
 
     @classmethod
     def by(cls, normal: Array, across: Complex, right: Complex) -> Self:
-        """Return what waves explain beside orthogonal columns.
-
-        Of the waves' products (F, 2, 2), with the columns (P, F) and with what is left (F,).
+        """Waves beside orthogonal columns. Of the waves' products (F, 2, 2), with the columns (P,
+        F) and with the residual (F,).
         """
         cosine, sine = across.real, across.imag
         taken = (
@@ -432,8 +421,7 @@ class Explained:
 
 class Trial:
     """Waves exp(i f angle) of many frequencies f (F,) at the samples of each direction, unshifted.
-
-    Their sums over the samples of a direction turn with its shift.
+    Their sums over the samples of a direction rotate with its shift.
     """
 
     def __init__(self, records: Records) -> None:
@@ -486,8 +474,8 @@ class Trial:
         return noise, float(np.linalg.norm(opposite.amplitude_rad[best])) if is_line else 0.0
 
     def _even_waves(self, angle_rad: Array) -> tuple[Complex, Complex]:
-        """Return waves (N, F) at F frequencies in even steps, by adding angles, and their squares'
-        sums (F,).
+        """Waves (N, F) at F frequencies in even steps, by adding angles, and their squares' sums
+        (F,).
         """
         cycles = self.cycles
         step = np.exp(1j * angle_rad * (cycles[1] - cycles[0]))
@@ -535,9 +523,8 @@ class Known:
 
 
 def search(records: Records, shift: Shift) -> Found:
-    """Find lines one by one, each the strongest against the noise, until chance explains the rest.
-
-    ``shift`` is known beforehand; the lines improve it.
+    """Detect lines one by one, the strongest against the noise first, until chance explains the
+    rest. ``shift`` is the initial value; the lines improve it.
     """
     trial, lines = Trial(records), without_lines(records, shift)
     smooth_left_rad, refused = rms(lines.left_rad), list[float]()
@@ -577,10 +564,8 @@ def without_lines(records: Records, shift: Shift) -> Lines:
 
 
 def spectral_noise(powers_rad2: Array, cycles: Array) -> Noise:
-    """Return the noise of sums of squares (F,) of two degrees of freedom at frequencies (F,).
-
-    They are exponentially distributed; maximum likelihood by Fisher's scoring, in which single
-    outliers count little.
+    """Noise of sums of squares (F,) of two degrees of freedom at frequencies (F,). Exponentially
+    distributed: maximum likelihood by Fisher's scoring, robust against single outliers.
     """
     mean = np.maximum(powers_rad2 / 2.0, 1e-24)
     X = _powers_of_log(cycles)

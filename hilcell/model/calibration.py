@@ -76,7 +76,6 @@ class Provenance(msgspec.Struct, frozen=True):
 
     @property
     def named(self) -> str:
-        """The run that wrote the file, and the one that measured the model."""
         based = f" (based on run {self.run})" if self.updates else ""
         return f"run {self.latest}{based}"
 

@@ -162,7 +162,6 @@ class LinkCounted(Event, frozen=True, kw_only=True, tag="link"):
 
     @property
     def lost_share(self) -> float:
-        """Return how much was lost, as a share of all."""
         return self.lost / max(1, self.frames + self.lost)
 
     @property

@@ -76,7 +76,6 @@ class TouchedBase(Frame, frozen=True, kw_only=True, omit_defaults=True):
 
 
 def frame_type(key: str) -> type[Frame]:
-    """The type of a measured frame, by its key."""
     if key == "base":
         return MeasuredBase
     kinds: dict[str, type[Frame]] = {"station": MeasuredStation, "touch": TouchedBase}

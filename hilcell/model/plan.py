@@ -23,7 +23,6 @@ class Span:
 
     @property
     def each_s(self) -> float:
-        """Time of one measurement, or of the motion."""
         return self.duration_s / max(1, self.measured)
 
 

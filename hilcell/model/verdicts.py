@@ -451,7 +451,6 @@ class MeasuredLength(msgspec.Struct, frozen=True):
 
     @property
     def share(self) -> float:
-        """The difference as a share of U."""
         return abs(self.found_mm - self.wanted_mm) / self.U_mm
 
     @property

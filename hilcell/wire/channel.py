@@ -101,7 +101,6 @@ def is_can_interface(options: Mapping[str, object]) -> bool:
 
 
 def can_interfaces(options: Mapping[str, object]) -> list[str]:
-    """CAN interfaces of the kernel used by a device."""
     parts = [part for part in options.values() if isinstance(part, Mapping)]
     return [str(part["channel"]) for part in (options, *parts) if is_can_interface(part)]
 

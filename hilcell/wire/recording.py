@@ -255,7 +255,6 @@ class WireRecording:
         return RecordingClock(clock, self._recorder, stop)
 
     def close(self, exit_code: int | None = None) -> None:
-        """End the relay, and record how the run has ended."""
         if exit_code is not None:
             self._recorder.record(0, "over", b"%d" % exit_code)
         self._recorder.close()

@@ -208,8 +208,7 @@ class Relay(ABC):
         """Break every connection, and accept none."""
 
     @abstractmethod
-    def admit(self) -> None:
-        """Accept connections."""
+    def admit(self) -> None: ...
 
     def close(self) -> None:
         """End every connection; a recording without its end would look cut off."""
@@ -413,7 +412,6 @@ class SerialRelay(Relay):
         """Leave the line as it is: it has no connections."""
 
     def refuse(self) -> None:
-        """Unplug the line."""
         self.reset()
 
     def reset(self) -> None:
@@ -464,7 +462,6 @@ class Relays:
         return list(self._relays.values())
 
     def lead_to(self, stated: Mapping[str, Mapping[str, object]]) -> None:
-        """Lead to the present addresses of the devices."""
         for name, place in wire_places(stated).items():
             if name in self._relays:
                 self._relays[name].lead_to(place)
