@@ -1,9 +1,8 @@
 """Corrected commands: where to send the robot so that it arrives at the target.
 
-With e = actual - nominal the command is P - e: the paper's "adding the error" has the wrong sign,
-which doubles the error. P - e(P) is first order only, for the robot goes to the command, not to
-P: so P_cmd = P - e(P_cmd), by fixed-point steps. The orientation likewise: with the actual one
-exp(t) R_cmd, t the predicted rotation vector, the command is R_cmd = exp(-t(P_cmd)) R.
+With e = actual - nominal the command is P - e: the paper's "adding the error" doubles the error. P
+- e(P) is first order only, so P_cmd = P - e(P_cmd), by fixed-point steps. Orientation likewise: the
+actual one is exp(t) R_cmd, t the predicted rotation vector, so R_cmd = exp(-t(P_cmd)) R.
 """
 
 from __future__ import annotations
@@ -24,16 +23,14 @@ def corrected(
     grid: Grid, poses: Array, model: ErrorModel, steps: int = 2,
     names: Sequence[str] | None = None,
 ) -> Array:  # fmt: skip
-    """Return commands (N, 3) for target poses (N, 4, 4), in the grid's frame.
+    """Commands (N, 3) for target poses (N, 4, 4), in the grid's frame.
 
-    The commanded orientation is the target's. Every target must be inside. Its command may leave
-    the grid by the error itself; there the model is asked at the nearest point of the grid's
-    face. Raises `OutsideGrid`, and `HilcellError` where the steps do not shrink.
+    The commanded orientation is the target's. Every target must be inside; its command may leave
+    the grid by the error itself, where the model is evaluated at the nearest point of the grid's
+    face. Raises `OutsideGrid`, and `HilcellError` where the steps do not converge.
 
-    Steps are compared with the first and not with the one before: inverse distances have a kink
-    at every vertex and jump at every face between cells, by up to a third of what the outer
-    vertices of both differ. So a command that has come to within micrometres may cross a face
-    and move by that jump once more.
+    Steps are compared with the first: inverse distances have a kink at every vertex and jump at
+    every face between cells, so a command within micrometres may cross a face and jump once more.
     """
     return corrected_poses(grid, poses, model, steps, names, orientation=False)[:, :3, 3]
 
@@ -42,7 +39,7 @@ def corrected_poses(
     grid: Grid, poses: Array, model: ErrorModel, steps: int = 2,
     names: Sequence[str] | None = None, *, orientation: bool = True,
 ) -> Array:  # fmt: skip
-    """Return commands (N, 4, 4) as `corrected` does, and their ``orientation`` if asked for."""
+    """Commands (N, 4, 4) as `corrected`, with ``orientation`` corrected on request."""
     targets, R, at = poses[:, :3, 3], poses[:, :3, :3], poses.copy()
     grid.check_inside(targets, names)
     command, first_mm = targets, np.full(len(targets), np.inf)

@@ -1,7 +1,7 @@
-"""A regular lattice of measured vertices: order of visit, cells, what is inside.
+"""A regular lattice of measured vertices: order of visit, cells, inside test.
 
-A target on the upper face belongs to the last cell, not to a cell beyond it. Outside of the
-lattice nothing is known, so `OutsideGrid` refuses instead of extrapolating.
+A target on the upper face belongs to the last cell. Outside nothing is known: `OutsideGrid` refuses
+instead of extrapolating.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ NAMED = 5  # targets that one message names
 
 
 class GridError(HilcellError):
-    """A lattice, or errors on it, that cannot be used."""
+    """An invalid lattice, or invalid errors on it."""
 
     code = "HC-C21"
 
@@ -50,15 +50,13 @@ class Grid:
 
     @property
     def far_mm(self) -> Array:
-        """Return the corner (3,) opposite to the origin."""
         return self.origin_mm + self.pitch_mm * (np.array(self.shape) - 1)
 
     def vertices_mm(self) -> Array:
-        """Return all vertices (nx, ny, nz, 3)."""
         return self.origin_mm + self.pitch_mm * np.moveaxis(np.indices(self.shape), 0, -1)
 
     def serpentine(self) -> Ints:
-        """Return the indices (N, 3) in an order of visit whose every step is one pitch long."""
+        """Indices (N, 3) in an order of visit whose every step is one pitch long."""
         nx, ny, nz = self.shape
         order = []
         for k in range(nz):
@@ -69,11 +67,10 @@ class Grid:
         return np.array(order)
 
     def serpentine_mm(self) -> Array:
-        """Return the vertices (N, 3) in that order."""
         return self.origin_mm + self.pitch_mm * self.serpentine()
 
     def cells(self, targets_mm: ArrayLike) -> tuple[Ints, Array]:
-        """Return cells' lowest vertices and places in them, 0..1, (N, 3); raises `OutsideGrid`."""
+        """Cells' lowest vertices and positions in them, 0..1, (N, 3); raises `OutsideGrid`."""
         targets = np.asarray(targets_mm, dtype=float)
         self.check_inside(targets)
         place = (self.clamped(targets) - self.origin_mm) / self.pitch_mm
@@ -81,7 +78,7 @@ class Grid:
         return cell, np.clip(place - cell, 0.0, 1.0)
 
     def clamped(self, targets_mm: ArrayLike) -> Array:
-        """Return targets (N, 3), those outside moved to the nearest point of the faces."""
+        """Targets (N, 3), those outside moved to the nearest point of the faces."""
         return np.asarray(np.clip(np.asarray(targets_mm, dtype=float), self.origin_mm, self.far_mm))
 
     def check_inside(self, targets_mm: ArrayLike, names: Sequence[str] | None = None) -> None:
@@ -110,10 +107,8 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredGrid:
-    """Errors e = actual - nominal at a grid's vertices, in the grid's frame.
-
-    ``errors_mm`` (nx, ny, nz, 3) is NaN where no vertex was measured; ``covariance_mm2``
-    (nx, ny, nz, 3, 3) is that of each averaged reading.
+    """Errors e = actual - nominal at a grid's vertices, in the grid's frame. ``errors_mm`` (nx, ny,
+    nz, 3), NaN: not measured; ``covariance_mm2`` (nx, ny, nz, 3, 3): of each averaged reading.
     """
 
     grid: Grid

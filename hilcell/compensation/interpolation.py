@@ -1,8 +1,8 @@
 """Interpolation of position errors within a cell of the grid, from its eight vertices.
 
-`Idw` is the paper's (eqs 9-10), on distances from nominal to nominal position. It does not
-reproduce even a linear field (slope g on pitch h leaves 0.154 g h mean, 0.365 g h max);
-`Trilinear` on the same vertices does. Of poses that are not a lattice `Idw` takes the nearest.
+`Idw` is the paper's (eqs 9-10), on distances between nominal positions. It does not reproduce even
+a linear field (slope g on pitch h leaves 0.154 g h mean, 0.365 g h max); `Trilinear` does. For
+poses that are no lattice `Idw` uses the nearest.
 """
 
 from __future__ import annotations
@@ -33,16 +33,15 @@ class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, eq=False)
 class Interpolation(LearntModel):
-    """An error blended from the eight vertices of the target's cell, with weights w that sum to 1.
+    """Error interpolated from the eight vertices of the target's cell, with weights w that sum to
+    1.
 
-    The covariance is ``sum w_i^2 V_i + (1 - sum w_i^2) R``. The first term carries the covariance
-    V of each vertex's averaged readings through the weights (GUM 5.1.2; readings at different
-    vertices are independent). R is what the lattice does not resolve, with the repeatability of
-    single visits in it. It is found from vertices left out, less their readings' own share, and
-    assumed the same everywhere and at twice the pitch: misses are few and not independent, so it
-    is good to about 30 %. Not covered: the tracker's systematic error, temperature, the
-    repeatability of the visit to the target, the frames {W} and {S}. The error of {B} is not
-    left out but cancels: the grid and the targets are carried by the same {B}.
+    The covariance is ``sum w_i^2 V_i + (1 - sum w_i^2) R``. V: of each vertex's averaged reading,
+    independent (GUM 5.1.2). R: what the lattice does not resolve, with the repeatability of single
+    visits; estimated from vertices left out, less their readings' share, and assumed equal
+    everywhere and at twice the pitch: good to about 30 %. Not covered: the tracker's systematic
+    error, temperature, the repeatability of the visit to the target, the frames {W} and {S}. The
+    error of {B} cancels: grid and targets are carried by the same {B}.
     """
 
     lattice: MeasuredGrid
@@ -51,11 +50,11 @@ class Interpolation(LearntModel):
     @staticmethod
     @abstractmethod
     def weights(place: Array, pitch_mm: float | Array) -> Array:
-        """Return the weights (N, 8) of `CORNERS` at places (N, 3), 0..1 in a cell."""
+        """Weights (N, 8) of `CORNERS` at positions (N, 3), 0..1 in a cell."""
 
     @classmethod
     def of_grid(cls, lattice: MeasuredGrid) -> Self:
-        """Return the model with R: the covariance of left-out vertices' misses beyond readings."""
+        """Model with R: the covariance of errors at left-out vertices beyond readings."""
         own = lattice.covariance_mm2
         lows, inner, weights = _wide_cells(cls, lattice)
         missed = cls._missed_mm(lattice)
@@ -69,13 +68,12 @@ class Interpolation(LearntModel):
 
     @classmethod
     def left_out_mm(cls, measured: Measured) -> Array:
-        """Return predicted minus measured errors (M, 3) of vertices left out.
+        """Predicted minus measured errors (M, 3) of vertices left out.
 
-        A vertex is predicted from every cell two pitches wide that has it on an edge, a face or
-        in its middle, but not as a corner; an axis with two vertices only is not widened. The
-        grid's own corners are never predicted. So the figures rank the models; at twice the
-        pitch they are worse than at the pitch itself. Raises `GridError` where the grid is one
-        cell or has gaps.
+        A vertex is predicted from every cell two pitches wide that has it on an edge, a face or in
+        its middle, but not as a corner; an axis with two vertices only is not widened. The grid's
+        own corners are never predicted. The figures rank the models; at twice the pitch they are
+        worse than at the pitch itself. Raises `GridError` where the grid is one cell or has gaps.
         """
         return cls._missed_mm(measured.grid)
 
@@ -107,7 +105,7 @@ class Interpolation(LearntModel):
         }
 
     def predict(self, poses: Array) -> Prediction:
-        """Return the errors at the places of poses; raises `OutsideGrid`, `GridError` for gaps."""
+        """Errors at the positions of poses; raises `OutsideGrid`, `GridError` for gaps."""
         grid, errors = self.lattice.grid, self.lattice.errors_mm
         cells, place = grid.cells(poses[:, :3, 3])
         vertices = cells[:, None, :] + CORNERS
@@ -140,7 +138,7 @@ class Idw(Interpolation):
 
     @staticmethod
     def weights(place: Array, pitch_mm: float | Array) -> Array:
-        """Return eq 9's weights (N, 8) at places (N, 3); on a vertex its own is exactly 1."""
+        """Eq 9's weights (N, 8) at positions (N, 3); on a vertex its own is exactly 1."""
         steps_mm = (place[:, None, :] - CORNERS) * pitch_mm
         return inverse_distance_weights(np.linalg.norm(steps_mm, axis=-1))
 
@@ -158,7 +156,6 @@ class Trilinear(Interpolation):
 
     @staticmethod
     def weights(place: Array, pitch_mm: float | Array) -> Array:
-        """Return the trilinear weights (N, 8) at places (N, 3)."""
         share = np.where(CORNERS == 1, place[:, None, :], 1.0 - place[:, None, :])
         return np.asarray(share.prod(axis=-1))
 
@@ -170,9 +167,9 @@ NEIGHBOURS = 8  # poses that one prediction is interpolated from
 class NearestPoses(LearntModel):
     """Eqs 9-10 over the `NEIGHBOURS` nearest of scattered poses, at points and of errors (N, 3).
 
-    One covariance (3, 3) holds for all targets: the mean square of the misses at poses left out. It
-    covers the poses' readings, repeatability and what lies between the poses, in the mean over
-    them; it does not say where in space a prediction is worse.
+    One covariance (3, 3) for all targets: the mean square of errors at poses left out, with
+    readings, repeatability and what lies between the poses. It does not state where a prediction is
+    worse.
     """
 
     points_mm: Array
@@ -187,7 +184,6 @@ class NearestPoses(LearntModel):
 
     @classmethod
     def left_out_mm(cls, measured: Measured) -> Array:
-        """Return predicted less measured errors (N, 3), by folds."""
         poses, points_mm = measured.poses, measured.poses.nominal[:, :3, 3]
         missed_mm = -poses.error_mm
         for fold in np.unique(poses.fold):
@@ -196,7 +192,7 @@ class NearestPoses(LearntModel):
         return missed_mm
 
     def predict(self, poses: Array) -> Prediction:
-        """Return the errors at poses (N, 4, 4); their places alone count."""
+        """Errors at poses (N, 4, 4); only their positions count."""
         error_mm = self._blended(self.points_mm, self.errors_mm, poses[:, :3, 3])
         return Prediction(error_mm, np.broadcast_to(self.covariance_mm2, (len(poses), 3, 3)))
 
@@ -209,7 +205,7 @@ class NearestPoses(LearntModel):
 
 
 def inverse_distance_weights(distance: Array) -> Array:
-    """Return eq 9's weights (N, K) of distances (N, K): exactly 1 for a distance of 0."""
+    """Eq 9's weights (N, K) of distances (N, K): exactly 1 for a distance of 0."""
     nearest = distance.min(axis=1, keepdims=True)
     # nearest / distance instead of 1 / distance: the same weights, finite at distance 0.
     weight = np.divide(nearest, distance, out=np.ones_like(distance), where=distance > nearest)
@@ -217,17 +213,17 @@ def inverse_distance_weights(distance: Array) -> Array:
 
 
 def _unshared(weights: Array) -> Array:
-    """Return 1 - sum w^2 (N,) of weights (N, K): 0 on a vertex, most in the middle."""
+    """1 - sum w^2 (N,) of weights (N, K): 0 on a vertex, largest in the middle."""
     return np.asarray(np.maximum(1.0 - np.sum(weights**2, axis=1), 0.0))
 
 
 def _span(grid: Grid) -> Ints:
-    """Return over how many pitches (3,) a cell reaches whose vertices predict those left out."""
+    """Size in pitches (3,) of the cells that predict left-out vertices."""
     return np.asarray(np.minimum(np.array(grid.shape) - 1, 2))
 
 
 def _wide_cells(model: type[Interpolation], lattice: MeasuredGrid) -> tuple[Ints, Ints, Array]:
-    """Return wide cells' lowest vertices (B, 3), steps (M, 3) to those left out, weights (M, 8)."""
+    """Wide cells' lowest vertices (B, 3), steps (M, 3) to those left out, weights (M, 8)."""
     grid = lattice.grid
     if not np.isfinite(lattice.errors_mm).all():
         raise GridError(f"cross-validation: {_missing(lattice.errors_mm)}; measure the whole grid")
@@ -242,7 +238,7 @@ def _wide_cells(model: type[Interpolation], lattice: MeasuredGrid) -> tuple[Ints
 
 
 def check_covariance(name: str, found: Array, shape: tuple[int, ...]) -> None:
-    """Raise `ModelError` where an array of a shape (..., 3, 3) is no covariances."""
+    """Raise `ModelError` for an array (..., 3, 3) that is not a covariance."""
     if found.shape != shape or not np.isfinite(found).all():
         counts = " x ".join(map(str, shape))
         raise ModelError(f"{name}: expected {counts} finite numbers")

@@ -1,7 +1,7 @@
-"""The identified robot as a model of errors: nominal joints in, what its kinematics then miss.
+"""The identified robot as an error model.
 
-The curves of axis sweeps are used only where they predict static poses better that no sweep
-covered: with a wrong abscissa they make a calibration worse than none.
+The curves of axis sweeps are used only where they improve the prediction of static poses, which no
+sweep covered: a wrong abscissa makes a calibration worse.
 """
 
 from __future__ import annotations
@@ -56,7 +56,6 @@ class RobotEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reference_rad: list[float]
 
     def nominal(self) -> NominalRobot:
-        """Return the robot; raises `ModelError`."""
         names = ("a_mm", "alpha_rad", "d_mm", "offset_rad", "sign")
         rows = {
             name: _numbers(f"robot.{name}", getattr(self, name), (6,), MOST_MM) for name in names
@@ -93,13 +92,13 @@ class CurveEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The identified robot.
+    """Parameters of the identified robot.
 
     ``base`` (4, 4), ``reflector_mm`` (3,), ``values`` by name (V,), and the ``covariance`` (P, P)
-    of base, reflectors and values; noise; how many directions of the parameters the poses
-    determine, and how much better the best than the worst; poses that were struck out as gross.
-    ``more_reflectors_mm`` are the others on the flange, where the orientation was measured, and
-    ``pose_mm`` is the part of the noise that they share.
+    of base, reflectors and values; noise; number of directions of the parameters that the poses
+    determine, and ratio of the best to the worst; number of poses rejected as outliers.
+    ``more_reflectors_mm``: the others on the flange, where the orientation was measured;
+    ``pose_mm``: their common part of the noise.
     """
 
     robot: RobotEntry
@@ -125,7 +124,7 @@ class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 @dataclass(frozen=True, eq=False)
 class Kinematic(LearntModel):
     """Errors by identified kinematics. The covariance covers the parameters, the repeatability of
-    one visit, and what no parameter describes, both as the static poses show them.
+    one visit, and what no parameter describes, both as shown by the static poses.
     """
 
     name = "kinematic"
@@ -164,7 +163,7 @@ class Kinematic(LearntModel):
 
     @classmethod
     def left_out_mm(cls, measured: Measured) -> Array:
-        """Return predicted less measured (M, 3), each fifth pose left out, without gross ones."""
+        """Predicted minus measured (M, 3), each fifth pose left out, without outliers."""
         return -_left_out_mm(_identified(_arm(measured))[0])
 
     def predict(self, poses: Array) -> Prediction:
@@ -211,7 +210,7 @@ class Kinematic(LearntModel):
 
     @classmethod
     def restore(cls, grid: Grid, errors_mm: Array, parameters: Json) -> Self:
-        """Return the model as `parameters` keeps it; the grid's errors are not needed."""
+        """Model from its `parameters`; the grid's errors are not used."""
         try:
             entry = typed(parameters, Parameters)
         except msgspec.ValidationError as error:
@@ -244,7 +243,7 @@ class Kinematic(LearntModel):
 
     @staticmethod
     def _seats_mm(places: list[list[float]]) -> Array:
-        """Return reflectors (K, 3): one, or three and more that span a triangle."""
+        """Reflectors (K, 3): one, or at least three that span a triangle."""
         seats_mm = _numbers("reflector_mm", places, (len(places), 3), MOST_MM)
         across_mm = np.linalg.svd(seats_mm - seats_mm.mean(axis=0), compute_uv=False)
         least_across_mm = 1.0
@@ -265,7 +264,7 @@ class Kinematic(LearntModel):
 
 
 def curves_used(measured: Measured) -> CurvesUsed:
-    """Return whether the curves are used, and why; also where no robot can be identified."""
+    """Whether the curves are used, and why; also where no robot can be identified."""
     try:
         return _identified(_arm(measured))[1]
     except IdentificationError as error:
@@ -280,9 +279,8 @@ def _arm(measured: Measured) -> MeasuredArm:
 
 @lru_cache(maxsize=1)
 def _identified(measured: MeasuredArm) -> tuple[Estimate, CurvesUsed]:
-    """Return the identification, with curves only if poses left out are predicted better.
-
-    A run asks for it with each of its results; it is made again when a number has changed.
+    """Identification, with curves only if poses left out are predicted better. Cached: a run needs
+    it for each of its results.
     """
     arm, seats_mm = measured.robot.arm, measured.seats_mm
     assumed = Placed(2.0, 2e-3, 2.0)  # {B} from circles, the reflector as it is mounted
@@ -325,7 +323,7 @@ def _with_curves(without: Estimate, curves: tuple[TransmissionCurve, ...]) -> Es
 
 
 def _contradicted(estimate: Estimate) -> list[bool]:
-    """Return which curves change by more than prior's less posterior's covariance."""
+    """Curves that change by more than prior's less posterior's covariance."""
     kinematics = estimate.kinematics
     mean, prior = kinematics.prior
     change = kinematics.flat(estimate.state) - mean
@@ -343,7 +341,7 @@ def _contradicted(estimate: Estimate) -> list[bool]:
 
 
 def _better(estimate: Estimate, richer: Kinematics) -> Estimate:
-    """Return the identification of richer kinematics where poses left out clearly want it."""
+    """Richer kinematics where poses left out are predicted significantly better."""
     start = richer.start(estimate.state.T, estimate.state.smr_mm)
     other = identify_trusted(richer, estimate.readings, start, estimate.noise)
     clearly = 0.98  # of the mean miss of poses left out, for more parameters to be taken
@@ -357,7 +355,7 @@ def _mean_mm(estimate: Estimate) -> float:
 
 @lru_cache(maxsize=1)
 def _excess(estimate: Estimate) -> float:
-    """Return by how much variances are larger than poses that err independently would have them.
+    """Ratio of variances to those of poses that err independently.
 
     What no parameter describes is mostly the gears', and repeats where a joint's angle repeats, as
     on a grid. So all poses that share an angle of one of the large axes are left out together.
@@ -375,7 +373,6 @@ def _excess(estimate: Estimate) -> float:
 
 
 def _left_out_mm(estimate: Estimate) -> Array:
-    """Return measured less predicted (M, 3) of the poses learnt from."""
     count = 5  # each fifth pose is predicted by the others
     fold = np.arange(len(estimate.readings)) % count
     folds = [np.flatnonzero(fold == each).astype(np.int_) for each in range(count)]

@@ -1,8 +1,7 @@
-"""A model of a robot's errors: nominal poses in, predicted errors and their covariance out.
+"""Models of a robot's errors: nominal poses in, predicted errors and their covariance out.
 
-It is learnt from the errors that were measured at poses at rest. A model is one class,
-registered in `hilcell.compensation.model_choice`; `hilcell run` and `hilcell fit` both learn, judge
-and choose from those, and nothing else in the core names them.
+A model is one class, learnt from errors at poses at rest and registered in
+`hilcell.compensation.model_choice`; nothing else in the core names it.
 """
 
 from __future__ import annotations
@@ -28,8 +27,8 @@ class StaticPoses:
     """M poses at rest: joints (M, 6) as commanded, nominal poses (M, 4, 4), errors e = actual -
     nominal (M, 3) of their positions.
 
-    ``covariance_mm2`` (M, 3, 3) is that of each averaged reading, NaN where it is unknown. Poses of
-    one ``fold`` (M,) are left out together.
+    ``covariance_mm2`` (M, 3, 3): of each averaged reading, NaN where unknown. Poses of one ``fold``
+    (M,) are left out together.
     """
 
     joints_rad: Array
@@ -47,7 +46,6 @@ class StaticPoses:
 
     @classmethod
     def of(cls, joints_rad: Array, nominal: Array, error_mm: Array, covariance_mm2: Array) -> Self:
-        """Return the poses with folds that leave each out as a whole."""
         return cls(joints_rad, nominal, error_mm, covariance_mm2, pose_folds(joints_rad))
 
     def __len__(self) -> int:
@@ -59,10 +57,10 @@ class StaticPoses:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredArm:
-    """The nominal robot, where its reflectors were at M poses, in {B}, and the gears' curves.
+    """The nominal robot, positions of its reflectors at M poses, in {B}, and the gears' curves.
 
-    ``seats_mm`` (K, 3) are the reflectors' nominal places on the flange, the tool point first. Two
-    with the same numbers are equal: models learnt from either are the same.
+    ``seats_mm`` (K, 3): the reflectors' nominal positions on the flange, the tool point first.
+    Instances with the same numbers are equal.
     """
 
     robot: NominalRobot
@@ -83,8 +81,8 @@ class MeasuredArm:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """All poses; for models of space the ``lattice`` that some of them are, for models of the arm
-    its readings. None where nothing of the kind was measured.
+    """All poses; the ``lattice`` of some of them for spatial models, readings for models of the
+    arm. None where not measured.
     """
 
     poses: StaticPoses
@@ -100,7 +98,6 @@ class Measured:
 
 
 def _plain(value: object) -> object:
-    """Return a value's numbers as something that can be compared and hashed."""
     if isinstance(value, np.ndarray):
         return value.shape, value.tobytes()
     if isinstance(value, tuple):
@@ -111,15 +108,15 @@ def _plain(value: object) -> object:
 
 
 class ModelError(HilcellError):
-    """Parameters of which no model can be made."""
+    """Invalid parameters of a model."""
 
     code = "HC-C21"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PredictedOrientation:
-    """Errors of orientation at N targets as rotation vectors (N, 3), and their covariances
-    (N, 3, 3): actual = exp(vector) nominal, so that the axes are those of the model's frame.
+    """Orientation errors at N targets as rotation vectors (N, 3), covariances (N, 3, 3). actual =
+    exp(vector) nominal, so that the axes are those of the model's frame.
     """
 
     error_rad: Array
@@ -128,11 +125,11 @@ class PredictedOrientation:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Prediction:
-    """Errors e = actual - nominal (N, 3) at N targets, and their covariances (N, 3, 3), NaN where
-    a calibration states none. ``orientation`` is None where the model knows positions only.
+    """Errors e = actual - nominal (N, 3) at N targets, covariances (N, 3, 3), NaN where unknown.
 
-    The covariance covers parameters, residual and the repeatability of one visit, as far as the
-    data that the model learnt from show it. The frame is the model's.
+    ``orientation``: None where the model predicts positions only. The covariance covers parameters,
+    residual and the repeatability of one visit, as shown by the training data. The frame is the
+    model's.
     """
 
     error_mm: Array
@@ -149,12 +146,12 @@ class ErrorModel(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class LearntModel(ABC):
-    """A model that is learnt from measured poses, judged, chosen and stored in a calibration file.
+    """A model learnt from measured poses, judged, chosen and stored in a calibration file.
 
     A subclass is a frozen dataclass of arrays in `hilcell.compensation.model_choice.MODELS`;
-    ``text`` is its description in a report. ``any_orientation``: it is valid for other orientations
-    than the grid's. ``scattered``: it learns from poses anywhere; others need a lattice, or the
-    arm's readings.
+    ``text``: its description in a report; ``any_orientation``: valid for other orientations than
+    the grid's; ``scattered``: learns from arbitrary poses; others need a lattice, or the arm's
+    readings.
     """
 
     name: ClassVar[str]
@@ -165,11 +162,11 @@ class LearntModel(ABC):
     @classmethod
     @abstractmethod
     def learn(cls, measured: Measured) -> LearntModel:
-        """Return the model; raises `HilcellError` where what was measured is not enough."""
+        """Learn; raises `HilcellError` where the measurements are not sufficient."""
 
     @classmethod
     def left_out_mm(cls, measured: Measured) -> Array:
-        """Return predicted less measured errors (M, 3) of poses that were not learnt from."""
+        """Predicted minus measured errors (M, 3) of poses that were not learnt from."""
         poses = measured.poses
         if not len(poses):
             raise IdentificationError(f"{cls.name}: no pose was measured")
@@ -186,9 +183,8 @@ class LearntModel(ABC):
 
     @classmethod
     def restore(cls, grid: Grid, errors_mm: Array, parameters: Json) -> Self:
-        """Return the model of a calibration file; raises `ModelError` for bad parameters.
-
-        The file has the grid's errors (nx, ny, nz, 3) beside the model's own parameters.
+        """Model of a calibration file; raises `ModelError` for invalid parameters. The file has the
+        grid's errors (nx, ny, nz, 3) beside the model's own parameters.
         """
         try:
             found = {name: np.array(value, dtype=float) for name, value in parameters.items()}
@@ -200,5 +196,5 @@ class LearntModel(ABC):
         return model
 
     def parameters(self) -> Json:
-        """Return what `restore` needs besides the grid's errors, as plain JSON values."""
+        """Input of `restore` besides the grid's errors, as plain JSON values."""
         return {field.name: getattr(self, field.name).tolist() for field in fields(self)}

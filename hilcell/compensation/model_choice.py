@@ -1,7 +1,7 @@
-"""The models that a calibration chooses from, and the choice by cross-validation.
+"""Models that a calibration chooses from, and the choice by cross-validation.
 
-A model is judged by how far it misses poses that it did not learn from: by their mean and by the
-largest, each relative to the best of all models, because the best in the mean may be bad somewhere.
+A model is judged by the mean and the largest error at poses that it did not learn from, each
+relative to the best of all models: the best in the mean may be bad somewhere.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ MODELS: dict[str, type[LearntModel]] = {
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """The model chosen and why; figures of misses at poses left out; why others were refused."""
+    """The chosen model and why; figures of errors at poses left out; why others were refused."""
 
     model: str
     reason: str
@@ -66,7 +66,7 @@ class Choice:
 
 
 def chosen(measured: Measured, *, reoriented: bool = False) -> Choice:
-    """Return the best of all models, for ``reoriented`` targets of those that predict them."""
+    """The best model; for ``reoriented`` targets, of those that predict them."""
     figures, refused = {}, {}
     for name, model in MODELS.items():
         try:
@@ -83,7 +83,7 @@ def chosen(measured: Measured, *, reoriented: bool = False) -> Choice:
 
 
 def choose(figures: Mapping[str, Figures], weights: Mapping[str, float] = WEIGHTS) -> str:
-    """Return the model, if possible better than nominal, of least figures by ``weights``."""
+    """The model with the least figures by ``weights``, if possible better than nominal."""
     nominal = figures.get(NOMINAL)
     best = {kind: min(getattr(each, kind) for each in figures.values()) for kind in weights}
     return min(
@@ -104,7 +104,6 @@ def _relative(value: float, best: float) -> float:
 
 
 def listed(figures: Mapping[str, Figures], weights: Mapping[str, float] = WEIGHTS) -> str:
-    """Return the figures that a choice weighs, in words."""
     rows = (
         f"{name} " + " / ".join(f"{getattr(each, kind):.4f}" for kind in weights)
         for name, each in figures.items()

@@ -1,11 +1,11 @@
-"""Robot programs: which format reads one from disk, and which writer makes one of targets.
+"""Robot programs: formats that read them, and writers that make them from targets.
 
-A format is a function that reads a file, and those that belong to it, into a `Program`. The entry
-point group ``hilcell.programs`` names it by the file's suffix, in lower case without its dot: ``src
-= "package.module:load_program"``. It raises `SettingsError` with everything, by file and line, that
+A format is a function that reads a file, and its companions, into a `Program`; the entry point
+group ``hilcell.programs`` names it by the file's suffix, in lower case without its dot: ``src =
+"package.module:load_program"``. It raises `SettingsError` with everything, by file and line, that
 cannot be corrected safely.
 
-A writer is a function from a `StationProgram` and a stamp to files by name. The entry point group
+A writer is a function from a `StationProgram` and a stamp to files by name; the group
 ``hilcell.program_writers`` names it by the robot's driver: ``my-robot = "package.module:write"``.
 """
 
@@ -30,8 +30,8 @@ from hilcell.ports import Array
 class Stroke(NamedTuple):
     """A relative motion that keeps the correction of a target, an index into the program's.
 
-    ``shift_mm`` leads from that target to the motion's end, ``from_mm`` to its begin, in the
-    targets' frame; ``where`` names it for messages.
+    ``shift_mm`` leads from that target to the motion's end, ``from_mm`` to its start, in the
+    targets' frame; ``where`` is for messages.
     """
 
     where: str
@@ -48,8 +48,8 @@ class StatedBase(NamedTuple):
 
 
 class StatedTool(NamedTuple):
-    """The tool that a program states: its number in the controller, or its frame (4, 4) in the
-    flange where the place is known. ``where`` and ``text`` are for messages.
+    """The tool that a program sets: its number in the controller, or its frame (4, 4) in the flange
+    if known. ``where`` and ``text`` are for messages.
     """
 
     where: str
@@ -60,9 +60,8 @@ class StatedTool(NamedTuple):
 
 @runtime_checkable
 class Program(Protocol):
-    """A robot program that was read: its targets, and its files with other positions.
-
-    A format inherits from it what its language does not state.
+    """A robot program: its targets, and its files with other positions. A format inherits from it
+    what its language does not have.
     """
 
     in_root: bool = False  # whether targets are in the robot's root {B}, else in {W}
@@ -73,7 +72,7 @@ class Program(Protocol):
 
     @property
     def notes(self) -> list[str]:
-        """Return notes for the user: the parts left unchanged."""
+        """Notes for the user: parts left unchanged."""
 
     @property
     def suffixes(self) -> Sequence[str]:
@@ -87,9 +86,8 @@ class Program(Protocol):
         """Return the targets (N, 6): x, y, z in mm, Z-Y-X angles a, b, c in deg."""
 
     def with_positions(self, positions: Array, remark: str = "") -> Mapping[str, bytes]:
-        """Return the files by name, with other x, y, z (N, 3), or with a, b, c besides (N, 6).
-
-        A remark is a comment in each, unless it is empty; nothing else differs.
+        """Files by name, with other x, y, z (N, 3), or also a, b, c (N, 6). A non-empty remark is a
+        comment in each; nothing else differs.
         """
 
     @property
@@ -99,12 +97,12 @@ class Program(Protocol):
 
     @property
     def base(self) -> StatedBase | None:
-        """Return the base that the program sets by numbers; None where it sets none so."""
+        """The base that the program sets by numbers, or None."""
         return None
 
     @property
     def tool(self) -> StatedTool | None:
-        """Return the tool that the program sets; None where it sets none."""
+        """The tool that the program sets, or None."""
         return None
 
     def reflector_number(self, options: Json) -> int | None:
@@ -113,28 +111,30 @@ class Program(Protocol):
 
     @property
     def slide(self) -> tuple[str, float] | None:
-        """Return the first target that moves the slide, an external axis of the robot, and where
-        it is then, mm; all are alike.
+        """First target that moves the slide, an external axis of the robot, and its position, mm.
+        All are equal.
         """
         return None
 
     def statuses(self, expected: int) -> Sequence[tuple[str, int]]:
-        """Return the targets whose posture is stated, with place and status; open bits are the
-        ``expected`` ones.
+        """Targets with a stated posture, with place and status; open bits are the ``expected``
+        ones.
         """
         return ()
 
     @property
     def needs_arm(self) -> str:
-        """Return what of the joints `check_joints` would check, as a plural; may be empty."""
+        """Plural of what `check_joints` checks; may be empty."""
         return ""
 
     def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> None:
-        """Raise `HilcellError` where ``command`` (N, 6) would mean other turns of the joints."""
+        """Raise `HilcellError` where ``command`` (N, 6) would need other revolutions of
+        the joints.
+        """
         return
 
     def misnamed(self, stem: str) -> Sequence[str]:
-        """Return notes where a controller would not take its files under this stem."""
+        """Notes where a controller would not accept its files under this stem."""
         return ()
 
 
@@ -152,12 +152,10 @@ def load_program(path: Path) -> Program | None:
 
 
 def suffixes() -> list[str]:
-    """Return the suffixes, with their dots, of the formats that are installed."""
     return sorted(f".{name}" for name in entry_points(group="hilcell.programs").names)
 
 
 def program_notes(program: Program, frame: str, source: Path, written: Sequence[Path]) -> list[str]:
-    """Return a program's notes, the base that it needs, and what is wrong with its files' names."""
     base = "" if program.in_root else f", its base must be {frame}"
     stems = dict.fromkeys(path.stem for path in (source, *written))
     names = [note for stem in stems for note in program.misnamed(stem)]
@@ -175,8 +173,8 @@ def write_program(
 ) -> list[Path]:
     """Write the program with positions (N, 3) or poses (N, 6) and the stamp under another stem.
 
-    ``out`` may have a suffix of it. Raises `NotWritten`: the nominal program is an input as well,
-    corrected again it would be corrected twice.
+    ``out`` may have a suffix of it. Raises `NotWritten`; the nominal program is an input too, so
+    that it cannot be overwritten and corrected twice.
     """
     if os.path.isdir(out):  # noqa: PTH112 - Path.is_dir raises for a name too long
         raise NotWritten(f"{out} is a folder; name a program in it")
@@ -194,8 +192,8 @@ def write_program(
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """N poses of a tool's tip in {W}, ``values`` (N, 6): x, y, z in mm, Z-Y-X angles in deg; and
-    the nominal arm there: ``joints_rad`` (N, 6), ``status`` (N,).
+    """N poses of a tool's tip in {W}, ``values`` (N, 6): x, y, z in mm, Z-Y-X angles in deg. The
+    nominal arm there: ``joints_rad`` (N, 6), ``status`` (N,).
     """
 
     values: Array
@@ -205,16 +203,15 @@ class Places:
 
 @dataclass(frozen=True, eq=False)
 class StationProgram:
-    """N targets in order of visit, by ``names``: ``command`` is where the tool's tip is sent.
+    """N targets in order of visit, by ``names``; ``command``: where the tool's tip is sent.
 
     From the hole before, or the safe pose, the robot goes by joints through ``via`` (N + 1, the
-    last before the safe pose at the end; each may have no places) to ``approach``, from there to
-    ``standoff``, in front of the target, so that every axis comes from below, as the calibration
-    came to its poses; then straight to ``command``, and straight back to ``standoff``. ``base``
-    (6,) is {W} in {B}; ``tool`` (6,) is the tip in the flange, ``tool_name`` the tool's name in the
-    cell file, ``tool_number`` its number in the controller, None where the cell file has none.
-    The program begins and ends at ``safe_deg`` (6,). ``options`` are those of the robot's driver,
-    ``remarks`` comments for its head.
+    last before the safe pose at the end; each may be empty) to ``approach``, then to ``standoff``,
+    in front of the target, so that every axis comes from below, as in the calibration; then
+    straight to ``command``, and straight back to ``standoff``. ``base`` (6,) is {W} in {B};
+    ``tool`` (6,) is the tip in the flange, ``tool_name`` its name in the cell file, ``tool_number``
+    its number in the controller, or None. The program begins and ends at ``safe_deg`` (6,).
+    ``options``: of the robot's driver; ``remarks``: comments for its head.
     """
 
     station: str
@@ -237,7 +234,7 @@ Writer = Callable[[StationProgram, Stamp], Mapping[str, bytes]]
 
 
 def program_writer(driver: str) -> Writer | None:
-    """Return the writer for a robot's driver, None where none is installed."""
+    """The writer for a robot's driver, None where none is installed."""
     group = "program_writers"
     if driver not in entry_points(group=f"hilcell.{group}").names:
         return None

@@ -1,14 +1,12 @@
-"""The error that a model leaves at targets which were measured, folded in by its share.
+"""Residuals of a model at measured targets, folded in by their share.
 
-A measured residual is the model's own error, the visit's repeatability, its reading, and the
-frames of that day, which moved all targets together. Only the first comes back, so a residual
-counts by the first's share of the whole variance: subtracting it in full folds one visit's noise
-into the command. The share follows from the residuals themselves, by marginal likelihood.
-Between targets the model's errors are taken as independent: gear ripple and all else that a smooth
-model leaves changes within centimetres.
+A residual contains the model's own error, the visit's repeatability, its reading, and the frames of
+that day, common to all targets. Only the first comes back, so a residual counts by its share of the
+variance, estimated by marginal likelihood. Between distant targets the model's errors are
+independent: gear ripple changes within centimetres.
 
-So the covariance is that of groups of targets that lie close together, plus the frames' of each
-pass, which have rank 7: all is solved group by group, with the frames by Woodbury's identity.
+The covariance is that of groups of close targets, plus the frames' of each pass, of rank 7: solved
+group by group, with the frames by Woodbury's identity.
 """
 
 from __future__ import annotations
@@ -28,10 +26,10 @@ NEAR_MM = 20.0  # beyond, nothing is known
 
 @dataclass(frozen=True, eq=False)
 class Pass:
-    """Remainders (N, 3) in {B} at commanded poses (N, 4, 4) in {B}, measured in one run.
+    """Residuals (N, 3) in {B} at commanded poses (N, 4, 4) in {B}, measured in one run.
 
-    ``own_mm2`` (N, 3, 3) is the covariance of visit and reading, ``common`` (7, 7) that of the
-    frames: shift (mm), rotation vector (rad) and growth about the origin of {B}.
+    ``own_mm2`` (N, 3, 3): covariance of visit and reading; ``common`` (7, 7): of the frames, shift
+    (mm), rotation vector (rad) and growth about the origin of {B}.
     """
 
     poses: Array
@@ -45,7 +43,7 @@ class Pass:
 
 
 class TargetResiduals:
-    """The model's error as passes over targets know it; ``variance_mm2`` of one coordinate."""
+    """The model's error known by passes over targets; ``variance_mm2``: of one coordinate."""
 
     def __init__(self, passes: Sequence[Pass], variance_mm2: float) -> None:
         self.passes, self.variance_mm2 = tuple(passes), variance_mm2
@@ -54,7 +52,7 @@ class TargetResiduals:
 
     @classmethod
     def learn(cls, passes: Sequence[Pass], stated_mm2: float) -> TargetResiduals:
-        """Return it by its most probable variance; ``stated_mm2`` is that of the model."""
+        """Estimate the most probable variance; ``stated_mm2``: the model's."""
         factors = 2.0 ** np.arange(-10.0, 6.0, 0.5)  # of the variance that the model states
         if not (stated_mm2 > 0 and np.isfinite(stated_mm2)):
             raise ModelError(f"targets: the model states a variance of {stated_mm2} mm2")
@@ -73,7 +71,7 @@ class TargetResiduals:
         return self._known.poses
 
     def at(self, poses: Array) -> tuple[Array, Array]:
-        """Return residuals (M, 3) in {B} at poses (M, 4, 4), the share (M,) of variance left."""
+        """Residuals (M, 3) in {B} at poses (M, 4, 4), and the remaining share (M,) of variance."""
         known = self._known
         mean_mm, left = np.zeros((len(poses), 3)), np.ones(len(poses))
         near, nearest = known.nearest(poses)
@@ -87,7 +85,7 @@ class TargetResiduals:
         return mean_mm, left
 
     def sigmas(self) -> Array:
-        """Return the residuals (N,) in standard deviations of a coordinate, each by the others."""
+        """Residuals (N,) in standard deviations of a coordinate, each against the others."""
         sigmas = np.empty(len(self.poses))
         for group, inverse in zip(self._known.groups, self._inverses, strict=True):
             count, size = group.members.shape
@@ -101,13 +99,13 @@ class TargetResiduals:
 
 @dataclass(frozen=True, eq=False)
 class WithTargetResiduals:
-    """A model with what was measured of its error folded in; its covariance shrinks with it."""
+    """A model with measured residuals folded in; its covariance shrinks accordingly."""
 
     model: ErrorModel
     residuals: TargetResiduals
 
     def predict(self, poses: Array) -> Prediction:
-        """Return the errors at poses (N, 4, 4) in {B}; raises as the model does."""
+        """Errors at poses (N, 4, 4) in {B}; raises as the model does."""
         found = self.model.predict(poses)
         mean_mm, left = self.residuals.at(poses)
         covariance_mm2 = found.covariance_mm2 * left[:, None, None]
@@ -123,7 +121,6 @@ class _Groups(NamedTuple):
 
     @classmethod
     def of(cls, members: Ints, places: Array, own_mm2: Array) -> _Groups:
-        """Return the groups of targets (G, M) at places (N, 12), of the covariances (N, 3, 3)."""
         count, size = members.shape
         alike = np.array([_alike(places[each], places[each]) for each in members])
         own = np.zeros((count, size, 3, size, 3))
@@ -178,10 +175,8 @@ class _Known:
         return near, np.asarray(nearest)[near]
 
     def solved(self, variance_mm2: float) -> tuple[Array, list[Array], float]:
-        """Return the solution under a variance of the model's error.
-
-        The inverse covariance times the residuals (N, 3), its diagonal blocks as `_Groups` has
-        them, and the logarithm of the likelihood.
+        """Solve under a variance of the model's error. The inverse covariance times the residuals
+        (N, 3), its diagonal blocks as in `_Groups`, and the logarithm of the likelihood.
         """
         alone, log_det = [], 0.0
         weighted, levered = np.empty_like(self.residuals_mm), np.empty_like(self.levers)
@@ -212,13 +207,12 @@ class _Known:
 
     @staticmethod
     def _rows(values: Array, members: Ints) -> Array:
-        """Return values (N, 3, K) by group, (G, 3M, K)."""
         picked: Array = values[members]
         return picked.reshape(len(members), 3 * members.shape[1], -1)
 
     @staticmethod
     def _members(places: Array) -> list[Ints]:
-        """Return the groups (G, M) of each size M that hang together by steps of `NEAR_MM`."""
+        """Groups (G, M) of each size M, connected by steps of `NEAR_MM`."""
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
         from scipy.spatial import cKDTree
@@ -233,14 +227,14 @@ class _Known:
 
 
 def _places(poses: Array) -> Array:
-    """Return features (N, 12) whose distance is that of places, and of rotations by the lever."""
+    """Features (N, 12) whose distance is that of positions, and of rotations by the lever."""
     lever_mm = 200.0  # at which rotations count as lengths
     turned = poses[:, :3, :3].reshape(-1, 9) * (lever_mm / np.sqrt(2.0))
     return np.concatenate([poses[:, :3, 3], turned], axis=1)
 
 
 def _alike(first: Array, second: Array) -> Array:
-    """Return the correlations (3N, 3M) of the model's errors at places (N, 12), (M, 12)."""
+    """Correlations (3N, 3M) of the model's errors at features (N, 12), (M, 12)."""
     squares = np.square(first[:, None] - second).sum(axis=-1)
     close_mm = 5.0  # within it the model's error is the same; a command is far closer to its target
     return np.asarray(np.kron(np.exp(-squares / (2 * close_mm**2)), np.eye(3)))

@@ -1,17 +1,15 @@
-"""CSV files of named rows in {W}: strict reading, as spreadsheets write them, and whole writing.
+"""CSV files of named rows in {W}: strict reading of spreadsheets' forms, and atomic writing.
 
 Targets are ``name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg`` with Z-Y-X angles. Python reads ``1_0`` as 10,
 digits of any script, and ``nan`` as a number; all are refused here.
 
-Our own form has commas between fields and decimal points, in UTF-8. German and French spreadsheets
-write semicolons and decimal commas, older ones in CP1252. Some state the separator in a first line
-of its own, ``sep=;``, or end each line with separators of empty columns. 1,234 is 1.234 there and
-1234 where commas group thousands. One number of the file that cannot be grouped thousands, such as
-0,5 or 1234,5, decides the sign for all; without one the file is refused.
+Written: commas, decimal points, UTF-8. Read also: semicolons and decimal commas, CP1252, a first
+line ``sep=;``, trailing separators of empty columns. 1,234 may be 1.234 or 1234: one number of the
+file that cannot be grouped thousands, such as 0,5 or 1234,5, decides for all; without one the file
+is refused.
 
-Corrected targets must not be corrected again: the robot's error would be subtracted twice. So each
-corrected list has a column with a stamp, each corrected program a comment, and every reader of
-targets looks for it first.
+Corrected targets must not be corrected again: corrected lists have a column with a stamp, programs
+a comment, and every reader of targets checks it first.
 """
 
 from __future__ import annotations
@@ -45,7 +43,7 @@ class CorrectedBefore(HilcellError):
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """The mark of corrected targets: the run, or what else corrected them, UTC, and warnings."""
+    """The mark of corrected targets: the run or other source, UTC, and warnings."""
 
     by: str
     written: str
@@ -55,7 +53,7 @@ class Stamp:
 
     @property
     def text(self) -> str:
-        """Return it on one line, without commas."""
+        """One line, without commas."""
         at = f" for {self.station}" if self.station else ""
         parts = [f"{MARK}{self.by}{at} on {self.written}"]
         parts += ["SIMULATION"] if self.simulated else []
@@ -88,7 +86,7 @@ POINT = "."
 
 @dataclass(frozen=True, slots=True)
 class CsvText:
-    """Rows as (line, fields), the header among them, and the decimal sign of their numbers."""
+    """Rows as (line, fields), the header included, and the decimal sign of their numbers."""
 
     rows: list[tuple[int, list[str]]]
     separator: str = ","
@@ -106,7 +104,7 @@ class CsvText:
 
     @classmethod
     def read(cls, path: Path, content: bytes, labels: int) -> Self:
-        """Return a file with ``labels`` columns of words before numbers; raises `SettingsError`."""
+        """Read a file with ``labels`` text columns before numbers; raises `SettingsError`."""
         text = cls._text(path, content)
         first, _, others = text.partition("\n")
         stated = re.fullmatch(r'"?sep=([;,])"?', first.strip(), re.IGNORECASE)
@@ -127,7 +125,7 @@ class CsvText:
 
     @staticmethod
     def _without_empty_columns(rows: list[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:
-        """Return rows without fields empty beyond the header's last; empty rows have none."""
+        """Rows without fields empty beyond the header's last; empty rows have none."""
         if not rows or not any(rows[0][1]):
             return rows
         width = 1 + max(n for n, cell in enumerate(rows[0][1]) if cell.strip())
@@ -195,7 +193,7 @@ class CsvText:
 
 @dataclass(slots=True)
 class NamedRows:
-    """Rows of one file: ``header``, names (N) that differ, finite ``values`` (N) lists."""
+    """Rows of one file: ``header``, unique names (N), finite ``values`` (N) lists."""
 
     header: list[str]
     names: list[str] = field(default_factory=list)
@@ -208,7 +206,7 @@ class NamedRows:
         known: set[str],
         fault_of: Callable[[list[str], list[float]], str],
     ) -> list[str]:
-        """Take one row in, or return its faults; ``known`` are the names of all rows before."""
+        """Add one row, or return its faults; ``known``: the names of all rows before."""
         if len(cells) != len(self.header):
             more = text.surplus(len(cells), len(self.header))
             return [f"{len(cells)} fields, expected {len(self.header)}{more}"]
@@ -225,7 +223,7 @@ class NamedRows:
 
     @staticmethod
     def _name_fault(name: str) -> str:
-        """Return in words what is wrong with a name; joiners within it are letters' (Persian)."""
+        """Fault of a name; joiners within it are letters' (Persian)."""
         if not name:
             return "name is empty"
         if len(name) > LONGEST:
@@ -241,13 +239,12 @@ class NamedRows:
 
 
 def read_targets(path: Path) -> tuple[list[str], Array]:
-    """Return names and values (N, 6); raises as `read_named_rows` does."""
     rows = read_named_rows(path, read_file(path), [HEADER], "targets")
     return rows.names, np.array(rows.values)
 
 
 def unit_hint(points_mm: Array) -> str:
-    """Return the question whether points (N, 3) are in another unit; "" where they cannot be."""
+    """Text asking whether points (N, 3) are in another unit; "" where they cannot be."""
     if not np.abs(points_mm).max() < NEAR_MM:
         return ""
     return "\nis the list in metres or inches? It must be in mm"
@@ -260,10 +257,10 @@ def read_named_rows(
     what: str,
     fault_of: Callable[[list[str], list[float]], str] = lambda header, values: "",
 ) -> NamedRows:
-    """Return the rows of a CSV that has one of ``headers``: a name, then numbers.
+    """Rows of a CSV that has one of ``headers``: a name, then numbers.
 
-    ``fault_of`` gives the fault of finite values, or "". Raises
-    `SettingsError` with every problem and its line, and `CorrectedBefore`.
+    ``fault_of`` gives the fault of finite values, or "". Raises `SettingsError` with every problem
+    and its line, and `CorrectedBefore`.
     """
     text = CsvText.read(path, content, labels=1)
     refuse_corrected(str(path), (cell for _, cells in text.rows for cell in cells))
@@ -281,7 +278,7 @@ def read_named_rows(
 
 
 def matched_header(path: Path, text: CsvText, headers: Sequence[list[str]]) -> list[str]:
-    """Return which of ``headers`` a file has; raises `SettingsError` naming other columns."""
+    """The matching one of ``headers``; raises `SettingsError` naming other columns."""
     columns = [column for each in headers for column in each]
     header = [column_of(cell, columns) for cell in text.header]
     if header not in headers:
@@ -294,7 +291,7 @@ def matched_header(path: Path, text: CsvText, headers: Sequence[list[str]]) -> l
 
 
 def column_of(cell: str, columns: Iterable[str]) -> str:
-    """Return the column that a header's field means (``X``, ``x [mm]``: x_mm), else the field."""
+    """Column of a header's field (``X``, ``x [mm]``: x_mm), else the field."""
     plain = cell.strip().casefold().replace("\u00b0", "deg")
     word = re.sub(r"\s*[\[(]\s*(\w+)\s*[\])]$", r"_\1", plain)  # a unit in brackets
     for each in columns:
@@ -304,7 +301,7 @@ def column_of(cell: str, columns: Iterable[str]) -> str:
 
 
 def _differs(header: list[str], headers: Sequence[list[str]]) -> str:
-    """Return in words what is wrong with a header, compared with that which is most like it."""
+    """Difference of a header from the most similar one, as text."""
     if any("\t" in each for each in header):
         return "; its fields are separated by tabs: save it with commas or semicolons"
     expected = max(headers, key=lambda each: len({*each} & {*header}))
@@ -323,7 +320,7 @@ def _shown(text: str) -> str:
 
 
 def numbers(columns: Sequence[str], cells: Sequence[str], decimal: str = POINT) -> list[float]:
-    """Return plain finite numbers of sane size; raises ValueError naming the column."""
+    """Finite numbers of plausible size; raises ValueError naming the column."""
     values = []
     for column, cell in zip(columns, cells, strict=True):
         shown = _shown(cell)
@@ -345,14 +342,13 @@ def numbers(columns: Sequence[str], cells: Sequence[str], decimal: str = POINT) 
 
 
 def target_rows(names: Iterable[str], values: Array) -> Iterator[list[str]]:
-    """Yield the rows of targets (N, 6)."""
     for name, row in zip(names, values, strict=True):
         places_mm = (f"{each:.{MM_DECIMALS}f}" for each in row[:3])
         yield [name, *places_mm, *(f"{each:.{DEG_DECIMALS}f}" for each in row[3:])]
 
 
 def as_listed(values: Array) -> Array:
-    """Return targets (N, 6) as a reader of a list gets them, with its decimals."""
+    """Targets (N, 6) as a reader of a list gets them, with its decimals."""
     return np.hstack([values[:, :3].round(MM_DECIMALS), values[:, 3:].round(DEG_DECIMALS)])
 
 
@@ -369,7 +365,6 @@ def write_rows(
 
 
 def csv_content(header: list[str], rows: Iterable[list[str]], stamp: Stamp | None = None) -> bytes:
-    """Return a CSV; a stamp is a column of its own."""
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     more = [] if stamp is None else [stamp.text]

@@ -1,1 +1,1 @@
-"""The conformance kit: does a driver keep the promises of its port?"""
+"""The conformance kit: tests whether a driver keeps the promises of its port."""

@@ -1,7 +1,5 @@
-"""Promises of every port: identities, calls that may be repeated, readings, failing wires, stops.
-
-``python -m hilcell.conformance.common_promises`` is a program that begins to move a device, to be
-killed.
+"""Promises of every port: identities, repeatable calls, readings, failing wires, stops. ``python -m
+hilcell.conformance.common_promises`` begins to move a device, to be killed.
 """
 
 from __future__ import annotations
@@ -72,7 +70,7 @@ class Task:
 
 
 class Order(msgspec.Struct, frozen=True):
-    """A device of a cell, with the classes and the options of its driver, and of its robot's."""
+    """A device of a cell, with the classes and options of its driver, and of its robot's."""
 
     cell: Json
     port: Port
@@ -81,7 +79,7 @@ class Order(msgspec.Struct, frozen=True):
 
 
 def _killed_in_motion(bench: Bench) -> None:
-    """Have a program of its own begin what takes seconds, and kill it, as by ``kill -9``."""
+    """Start a motion in another process, and kill that, as by ``kill -9``."""
     (kind, options), *carrier = bench.settings()
     slow = msgspec.structs.replace(options, **bench.use.slow_options())
     drivers = [
@@ -329,9 +327,8 @@ def late(bench: Bench) -> None:
 
 
 def _answered_again(bench: Bench) -> None:
-    """Have an old answer come once more, ahead of the right one, though the driver gave none up.
-
-    Only its number, where the protocol has one, distinguishes it from the right one.
+    """Repeat an old answer ahead of the right one, though the driver gave none up. Only its number,
+    where the protocol has one, distinguishes it from the right one.
     """
     driver = bench.connected()
     bench.use.visit(driver, 0)
@@ -351,9 +348,8 @@ def _answered_again(bench: Bench) -> None:
 
 
 def _late_during_motion(bench: Bench, requests: int) -> None:
-    """Hold answers during a motion to a place, after so many requests of the driver.
-
-    The next question comes when all has ended, so an old answer does not happen to be right.
+    """Hold answers during a motion to a place, after this number of requests of the driver. The
+    next question comes when all has ended, so that an old answer is not right by chance.
     """
     driver = bench.connected()
     bench.use.visit(driver, 0)
@@ -508,7 +504,6 @@ def _prompt(what: str, tries_s: Iterable[float], limit_s: float) -> None:
 
 
 def _start_travel(bench: Bench) -> tuple[Driver, Task]:
-    """Begin what takes seconds."""
     bench.require_device()
     driver = bench.connected()
     bench.use.visit(driver, 0)

@@ -1,4 +1,4 @@
-"""How the promises of every port use a device: they visit places 0 and 1, and ask where it is."""
+"""Use of a device by the promises of every port: visit places 0 and 1, and read its place."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MANY = 30  # readings of a measurement that takes seconds
 
 
 class DeviceUse(ABC):
-    """Readings are the port's own; one that is connected is ready, at a speed that suits."""
+    """Use of one port's devices, with the port's own readings; a connected device is ready."""
 
     tolerance: float  # of `off`
     unit: str
@@ -38,7 +38,6 @@ class DeviceUse(ABC):
         """Make a connected device ready to visit places."""
 
     def ask(self, device: Driver) -> Reading:
-        """Return a reading, by one question."""
         return device.read()
 
     @abstractmethod
@@ -47,7 +46,7 @@ class DeviceUse(ABC):
 
     @abstractmethod
     def go_invalid(self, device: Driver, value: float) -> object:
-        """Go to a place that is ``value``, which is no number."""
+        """Go to a place that is ``value``, which is NaN or infinite."""
 
     @abstractmethod
     def travel(self, device: Driver) -> object:
@@ -58,7 +57,7 @@ class DeviceUse(ABC):
         return True
 
     def slow_options(self) -> dict[str, object]:
-        """Return the driver's options by which `travel` takes long, however fast the device is."""
+        """Driver options by which `travel` takes long on any device."""
         return {}
 
     @abstractmethod
@@ -71,7 +70,7 @@ class DeviceUse(ABC):
 
 
 class _RailUse(DeviceUse):
-    """Two places of the slide, near the first station; one and the same where there is no rail."""
+    """Two places of the slide, near the first station; equal without a rail."""
 
     tolerance, unit = 0.1, "mm"
     travel_text = "a motion to the end of the travel"
@@ -85,7 +84,7 @@ class _RailUse(DeviceUse):
             self.places_mm = (first_mm, first_mm)
 
     def ready(self, device: Rail) -> None:
-        """Find the reference, unless drive and strip agree: that verifies it, as in a run."""
+        """Home, unless drive and strip agree, as in a run."""
         reading = device.settle()
         apart_mm = abs(reading.position_mm - reading.strip_mm)
         if not apart_mm <= self.cell.rail.slip_limit_mm:
@@ -140,7 +139,6 @@ class _RobotUse(DeviceUse):
         return device.move_to(np.radians(self.places_deg[place]), SPEED_PERCENT)
 
     def go_invalid(self, device: Robot, value: float) -> RobotReading:
-        """Move axis 3 to no number."""
         target_deg = self.places_deg[0].copy()
         target_deg[2] = value
         return device.move_to(np.radians(target_deg), SPEED_PERCENT)
@@ -152,7 +150,6 @@ class _RobotUse(DeviceUse):
         return worst_deg(reading.joints_rad, np.radians(self.far_deg)) > STEP_DEG
 
     def off(self, reading: RobotReading, place: int) -> float:
-        """Return it in deg, of the worst axis."""
         return worst_deg(reading.joints_rad, np.radians(self.places_deg[place]))
 
     def apart(self, one: RobotReading, other: RobotReading) -> float:
@@ -174,14 +171,12 @@ class TrackerUse(DeviceUse):
         self.near_mm: Array = apply(inverse(cell.tracker.pose.matrix()), nests_mm)
 
     def ask(self, device: Tracker) -> TrackerReading:
-        """Measure the first nest."""
         return self.visit(device, 0)
 
     def visit(self, device: Tracker, place: int) -> TrackerReading:
         return device.measure(self.near_mm[place], self.reflector, 1)
 
     def go_invalid(self, device: Tracker, value: float) -> TrackerReading:
-        """Measure at no place."""
         near_mm = self.near_mm[0].copy()
         near_mm[1] = value
         return device.measure(near_mm, self.reflector, 1)
@@ -190,11 +185,9 @@ class TrackerUse(DeviceUse):
         return device.measure(self.near_mm[0], self.reflector, MANY)
 
     def off(self, reading: TrackerReading, place: int) -> float:
-        """Return it in mm, of the nominal nest."""
         return float(np.linalg.norm(reading.xyz_mm - self.near_mm[place]))
 
     def apart(self, one: TrackerReading, other: TrackerReading) -> float:
-        """Compare the points, by the largest deviation that one measurement may have."""
         limit_mm = 6.0 * self.cell.tracker.max_std_mm
         return float(np.linalg.norm(one.xyz_mm - other.xyz_mm)) / limit_mm
 

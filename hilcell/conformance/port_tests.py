@@ -1,6 +1,5 @@
-"""One test a promise of the port whose driver ``--hilcell-driver`` names.
-
-The plug-in's options are checked before a test is collected: every mistake is one usage error.
+"""One test a promise of the port whose driver ``--hilcell-driver`` names. The plug-in's options are
+checked before collection: every mistake is one usage error.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ from hilcell.errors import HilcellError
 
 
 def options_of(config: pytest.Config) -> tuple[Port, Cell]:
-    """Return what the options of this session choose; raises `pytest.UsageError`."""
     driver, where, sets = (
         config.getoption(f"--hilcell-{name}") for name in ("driver", "cell", "set")
     )
@@ -26,7 +24,7 @@ def options_of(config: pytest.Config) -> tuple[Port, Cell]:
 
 
 def chosen(driver: str, where: str, assignments: Sequence[str]) -> tuple[Port, Cell]:
-    """Return the port and the cell of the driver on trial; raises `pytest.UsageError`."""
+    """Port and cell of the driver on trial; raises `pytest.UsageError`."""
     group, colon, name = driver.partition(":")
     if group not in PORT_OF or not (colon and name):
         raise pytest.UsageError(
@@ -74,7 +72,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture(scope="session")
 def trial(request: pytest.FixtureRequest, pytestconfig: pytest.Config) -> Iterator[Trial]:
-    """Return the driver on trial; with xdist, whose processes share the tests, nothing begins."""
+    """The driver on trial; with xdist, whose processes share the tests, nothing begins."""
     port, cell = options_of(pytestconfig)
     with Trial(cell, port) as trial:
         if not hasattr(pytestconfig, "workerinput"):

@@ -1,7 +1,5 @@
-"""All promises: those of one port are here.
-
-``python -m hilcell.conformance.promises`` reads docs/conformance.md on stdin, and writes it with
-its table of promises renewed.
+"""Promises of single ports. ``python -m hilcell.conformance.promises`` reads docs/conformance.md on
+stdin, and writes it with its table of promises updated.
 """
 
 from __future__ import annotations
@@ -124,7 +122,7 @@ SWEEP_DEG, SWEEP_RAD_S = 4.0, 0.05
 
 
 def _steps(bench: Bench) -> list[tuple[int, Array, Array]]:
-    """Return, for each axis, its step of the tool point as stated and by the nominal arm, mm."""
+    """For each axis, its step of the tool point as stated and by the nominal arm, mm."""
     driver: Robot = bench.connected()
     arm, safe_rad = bench.cell.robot.arm(), np.radians(bench.cell.robot.safe_deg)
     first = driver.move_to(safe_rad, SPEED_PERCENT)
@@ -228,7 +226,6 @@ def _tracker_use(bench: Bench) -> TrackerUse:
 
 
 def _floor(bench: Bench) -> tuple[Array, Array]:
-    """Return the floor's first three nests (3, 3), measured and nominal, tracker's frame, mm."""
     driver: Tracker = bench.connected()
     use = _tracker_use(bench)
     nominal_mm = use.near_mm[:3]
@@ -342,7 +339,7 @@ def stream_ends(bench: Bench) -> None:
 
 
 def _streamed(bench: Bench, *, hold: bool = False) -> tuple[float, Array, Array]:
-    """Return the rate, and the samples' times (N,) and positions (N, 3)."""
+    """Rate, and the samples' times (N,) and positions (N, 3)."""
     driver, use = _able(bench, Streams, "stream"), _tracker_use(bench)
     blocks: list[StreamBlock] = []
     with driver.stream(use.near_mm[0], use.reflector, RATE_HZ) as stream:
@@ -369,7 +366,6 @@ PORT_OF: dict[str, Port] = {
 
 
 def driver_cell(where: str, port: Port, driver: str, sets: Mapping[str, str]) -> Cell:
-    """Return a cell with a driver at one port."""
     stated = load_cell(where, sets)
     if getattr(stated, port).driver == driver:
         return stated
@@ -377,12 +373,10 @@ def driver_cell(where: str, port: Port, driver: str, sets: Mapping[str, str]) ->
 
 
 def promises_of(port: Port) -> list[Promise]:
-    """Return the promises of a port, in the order in which they are judged."""
     return [promise for promise in PROMISES if port in promise.ports]
 
 
 def renewed(page: str) -> str:
-    """Return a page with its table renewed: one line a promise."""
     rows = [
         f"| `{each.name}` | {', '.join(each.ports)} | {each.sentence} | "
         f"{'yes' if each.real else 'no'} |"

@@ -1,8 +1,8 @@
-"""One driver under test: the device on which it is tested, and its promises judged on it.
+"""One driver under test: its device, and its promises judged on it.
 
-A bench is a simulated device, with wires between it and the driver that fail on demand. Promises
-that wait until the driver gives up (half a minute for a tracker that measures) are judged beside
-the others, each on a device of its own; those about times of milliseconds one after another.
+A bench is a simulated device, with wires that fail on demand. Promises that wait until the driver
+gives up (half a minute for a measuring tracker) are judged concurrently, each on its own device;
+those about milliseconds in sequence.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Settings = tuple[Callable[..., Driver], msgspec.Struct]  # a driver's class and 
 
 
 class Finding(HilcellError):
-    """Why a promise is not kept, or cannot be judged; the text states it in full."""
+    """Why a promise is not kept, or cannot be judged."""
 
     verdict: Verdict
 
@@ -72,7 +72,7 @@ def require(holds: bool, why: str) -> None:
 
 
 def expect_error(what: str, call: Callable[[], object]) -> DeviceError:
-    """Return the error with which a call fails; raises `Broken` where it does not, or wrongly."""
+    """The error with which a call fails; raises `Broken` where it does not, or wrongly."""
     try:
         found = call()
     except DeviceError as error:
@@ -85,10 +85,8 @@ def expect_error(what: str, call: Callable[[], object]) -> DeviceError:
 
 
 class RailWithRobot:
-    """A rail that is an external axis, with the robot whose axis it is: one device.
-
-    A run opens the robot before the rail, and closes both. So a promise about connect, close and
-    the wire is about both.
+    """A rail that is an external axis, with its robot: one device. A run opens the robot before the
+    rail, and closes both, so that promises about connect, close and the wire concern both.
     """
 
     def __init__(self, rail: Driver, robot: Driver) -> None:
@@ -113,7 +111,7 @@ class RailWithRobot:
 
 
 class BenchClock:
-    """The simulated cell's clock, also after that was started again."""
+    """The simulated cell's clock, also after its restart."""
 
     def __init__(self, outer: Callable[[], None]) -> None:
         self.stop = threading.Event()
@@ -144,10 +142,10 @@ class BenchClock:
 
 
 class Bench:
-    """One driver and its simulated device, started when the first promise asks for it.
+    """One driver and its simulated device, started by the first promise.
 
-    ``kind`` is tried in place of the class that the cell's driver names; ``outer`` is the check of
-    the run that uses the bench. Nothing is simulated on the bench of a real cell.
+    ``kind`` replaces the class that the cell's driver names; ``outer`` is the check of the run that
+    uses the bench. Nothing is simulated on the bench of a real cell.
     """
 
     PACE = 4.0  # of what moves in real time: quick, and slow enough to be stopped
@@ -196,7 +194,6 @@ class Bench:
         return [(self.kind or kind, options), *found[1:]]
 
     def build(self, **changed: object) -> Driver:
-        """Return a driver that is not connected, with ``changed`` options."""
         (kind, options), *carrier = self.settings()
         built = kind(msgspec.structs.replace(options, **changed), self.clock)
         for of_robot, robot_options in carrier:
@@ -205,7 +202,6 @@ class Bench:
         return built
 
     def connected(self) -> Driver:
-        """Return a driver that is connected, and ready to be used."""
         device = self.build()
         device.connect()
         self.use.ready(device)
@@ -227,12 +223,10 @@ class Bench:
             time.sleep(min(left_s, POLL_S))
 
     def require_same_place(self, one: Reading, other: Reading, otherwise: str) -> None:
-        """Raise `Broken` where two readings are not of one place."""
         apart = self.use.apart(one, other)
         require(apart <= 1.0, f"{otherwise}: {apart:.1f} of what a rest allows")
 
     def require_at(self, reading: Reading, place: int) -> None:
-        """Raise `Broken` where a reading is not of a place."""
         off, limit, unit = self.use.off(reading, place), self.use.tolerance, self.use.unit
         require(
             off <= limit,
@@ -246,7 +240,6 @@ class Bench:
         return reading
 
     def reset(self) -> None:
-        """Close what a promise has left open, and mend the wires."""
         self.clock.stop.clear()
         self._wires.pass_all()
         for device in self._built:
@@ -272,7 +265,7 @@ class Bench:
 
     @property
     def _tables(self) -> list[str]:
-        """Return that of the driver; and the robot's, if the rail's wire is in part the robot's."""
+        """Table of the driver; and the robot's, if the rail's wire is in part the robot's."""
         rides = self.port == "rail" and is_robot_driven(self.cell)
         return [self.port, "robot"] if rides else [self.port]
 
@@ -287,10 +280,8 @@ Check = Callable[[Bench], None]
 
 @dataclass(frozen=True, slots=True)
 class Promise:
-    """``check`` raises `Broken`. ``paced``: on a device that moves in real time.
-
-    ``real``: on real devices, too, where nothing else is done than in any run. ``waits``: until the
-    driver gives up.
+    """``check`` raises `Broken`. ``paced``: on a device that moves in real time. ``real``: on real
+    devices too, where it does only what any run does. ``waits``: until the driver gives up.
     """
 
     name: str
@@ -306,7 +297,7 @@ class Promises(list[Promise]):
     """Promises in the order in which they are judged."""
 
     def add(self, name: str, *ports: Port, **flags: bool) -> Callable[[Check], Check]:
-        """Return the decorator that adds a check as a promise; its docstring is the sentence."""
+        """Decorator that adds a check as a promise; its docstring is the sentence."""
 
         def added(check: Check) -> Check:
             self.append(Promise(name, check.__doc__ or "", check, ports or PORTS, **flags))
@@ -325,7 +316,6 @@ class Outcome:
     took_s: float = 0.0
 
     def facts(self) -> Json:
-        """Return it for the journal."""
         return asdict(self)
 
 
@@ -377,7 +367,7 @@ class Trial:
             each.close()
 
     def begin(self, promises: Iterable[Promise]) -> None:
-        """Begin with those of ``promises`` that wait until the driver gives up."""
+        """Start those of ``promises`` that wait until the driver gives up."""
         waiting = [promise for promise in promises if promise.waits]
         if not waiting:
             return
@@ -389,13 +379,12 @@ class Trial:
         with_threads.shutdown(wait=False)
 
     def judge(self, promise: Promise) -> Outcome:
-        """Return the finding of one promise; raises `Stopped` where the run is stopped."""
+        """Judge one promise; raises `Stopped` where the run is stopped."""
         if promise.name in self._judged:
             return self._judged.pop(promise.name).result()
         return judge(promise, self._in_turn[promise.paced])
 
     def try_kind(self, kind: type[Driver] | None) -> None:
-        """Try another class from now on."""
         self._kind = kind
         for each in self._in_turn.values():
             each.kind = kind

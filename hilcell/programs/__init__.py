@@ -1,1 +1,3 @@
-"""From holes and targets to what a robot is sent: plans, corrected lists and programs, sheets."""
+"""From holes and targets to robot commands: plans, corrected lists and programs, drilling
+sheets.
+"""

@@ -1,10 +1,9 @@
-"""Targets corrected by a calibration that may be used: their commands, bounds and stamp.
+"""Targets corrected by a usable calibration: commands, bounds and stamp.
 
-They are known again by their points, too, where their stamp was lost. A spreadsheet drops the
-column with the stamp, a controller strips comments from a program; a second correction would then
-take the error off twice. So each correction leaves its points in the folder of the run whose
-calibration it used, and targets at such points are refused. For a calibration that lies
-alone the folder of runs itself keeps them.
+Corrected targets are recognised by their points too: a spreadsheet drops the stamp's column, a
+controller strips comments, and a second correction would subtract the error twice. Each correction
+stores its points in the folder of the calibration's run (for a separate file, in the folder of
+runs), and targets at such points are refused.
 """
 
 from __future__ import annotations
@@ -49,9 +48,8 @@ MEMORY = "corrected.csv"
 
 @dataclass(frozen=True, eq=False)
 class Corrected:
-    """N targets of a tool's tip: ``nominal`` and what is commanded for it, poses (N, 6).
-
-    ``bounds_deg`` (N,) are 95 % bounds of the orientation, None where it is not corrected.
+    """N targets of a tool's tip: ``nominal`` and its command, poses (N, 6). ``bounds_deg`` (N,): 95
+    % bounds of the orientation, None where it is not corrected.
     """
 
     names: list[str]
@@ -63,7 +61,7 @@ class Corrected:
 
     @cached_property
     def bounds95_mm(self) -> list[float] | None:
-        """Return the 95 % bound of each target, None where none can be stated."""
+        """95 % bound of each target, None where none can be stated."""
         return None if isinstance(self.bounds, NoBound) else self.bounds.radii_mm.tolist()
 
     @property
@@ -86,7 +84,7 @@ class Corrected:
         )
 
     def listed(self, header: Sequence[str], rows: Sequence[list[str]]) -> bytes:
-        """Return a list of the targets with a bound in each of its ``rows``, and their stamp."""
+        """List of the targets with a bound in each of its ``rows``, and their stamp."""
         named, listed = [*header], [[*row] for row in rows]
         columns = [(BOUND, self.bounds95_mm, 4), (ORIENTATION_BOUND, self.bounds_deg, 5)]
         for name, values, decimals in columns:
@@ -97,7 +95,7 @@ class Corrected:
         return csv_content(named, listed, self.stamp)
 
     def list_of_bounds(self) -> bytes:
-        """Return targets' bounds, u of coordinates in {W}, bounds of turns; raises `NoBound`."""
+        """Bounds of targets, u of coordinates in {W}, bounds of rotations; raises `NoBound`."""
         if isinstance(self.bounds, NoBound):
             raise self.bounds
         u_mm = np.sqrt(np.diagonal(self.bounds.covariance_mm2, axis1=1, axis2=2))
@@ -137,7 +135,7 @@ class UsableCalibration:
 
     @classmethod
     def named(cls, name: str, release: Release, cell: Cell | None) -> Self:
-        """Return that of a run or a file; raises `HilcellError`."""
+        """Calibration of a run or a file; raises `HilcellError`."""
         used = CalibrationFile.named(name, release.runs)
         accepted = check_usable(
             used.calibration,
@@ -190,10 +188,10 @@ class UsableCalibration:
         tip: Tip = AT_REFLECTOR,
         cell: Cell | None = None,
     ) -> Corrected:
-        """Return targets (N, 6) of a tip in {W}, corrected: x, y, z in mm, Z-Y-X angles in deg.
+        """Corrected targets (N, 6) of a tip in {W}: x, y, z in mm, Z-Y-X angles in deg.
 
         ``cell`` states where the drill is, for the bounds. Raises `HilcellError` naming targets
-        that are outside of the calibrated volume or orientation.
+        outside the calibrated volume or orientation.
         """
         command = compensate_targets(self.calibration, station, nominal, names, tip)
         seen = poses_from_zyx(nominal) @ tip.T_D_T
@@ -231,7 +229,7 @@ class UsableCalibration:
                 Memory(each).refuse(source.name, names, *targets_mm)
 
     def remember(self, stamp: Stamp, *points: tuple[Array, Array]) -> list[str]:
-        """Keep nominal and corrected points, each (N, 3), or return a warning why not."""
+        """Store nominal and corrected points, each (N, 3), or return a warning why not."""
         runs, folder = self.release.runs, self.path.resolve().parent
         if not is_run(folder):
             folder = runs
@@ -258,8 +256,8 @@ def open_calibration(
 ) -> UsableCalibration:
     """Open the calibration of a run, or a ``calibration.json``, if it may be used.
 
-    ``runs`` is the folder of runs, as in `open_run`; ``temperature_c`` is the room's. Raises
-    `HilcellError` where `hilcell compensate` would refuse the calibration: it is too old, revoked,
+    ``runs``: the folder of runs, as in `open_run`; ``temperature_c``: ambient. Raises
+    `HilcellError` where `hilcell compensate` would refuse the calibration: too old, revoked,
     superseded, out of tolerance, or of another temperature.
     """
     release = Release(
@@ -273,14 +271,14 @@ def open_calibration(
 
 
 def drill_mm_of(cell: Cell | None) -> tuple[float, float, float] | None:
-    """Return where the cell states that its drill is, in {T}, if it does."""
+    """Position of the drill in {T}, if the cell states it."""
     if cell is None or not any(cell.uncertainty.drill_offset_mm):
         return None
     return cell.uncertainty.drill_offset_mm
 
 
 class Memory:
-    """Corrected points that a folder keeps: a list whose stamp was lost is known again by them."""
+    """Corrected points stored in a folder, to recognise a list whose stamp was lost."""
 
     SAME_MM = 0.009  # numbers may have been rounded, to two decimals
     FAR = 4.0  # times that a correction moves a point: one that hardly moved is its nominal target
@@ -289,7 +287,7 @@ class Memory:
         self.file = folder / MEMORY
 
     def note(self, stamp: str, nominal_mm: Array, command_mm: Array) -> None:
-        """Keep corrected points (N, 3), and how far each was moved; raises `OSError`."""
+        """Store corrected points (N, 3), and their corrections; raises `OSError`."""
         moved_mm = lengths_mm(command_mm - nominal_mm)
         rows = np.column_stack([command_mm, moved_mm])[moved_mm >= self.FAR * self.SAME_MM]
         with self.file.open("a", encoding="utf-8", newline="") as file:
@@ -313,7 +311,7 @@ class Memory:
             )
 
     def _same(self, known: Array, places_mm: Array) -> tuple[Bools, NDArray[np.intp]]:
-        """Return which of places (N, 3) are known points (K, 4), and the number of the nearest."""
+        """Which of positions (N, 3) are known points (K, 4), and the number of the nearest."""
         from scipy.spatial import KDTree  # loads long, and few folders have corrected anything
 
         found = KDTree(known[:, :3]).query(places_mm)
@@ -328,7 +326,7 @@ class Memory:
         return same, nearest
 
     def _noted(self) -> tuple[list[str], Array]:
-        """Return stamps, and points with their moves (N, 4), without lines cut by a crash."""
+        """Stamps, and points with their moves (N, 4), without lines cut by a crash."""
         stamps, points = list[str](), list[list[float]]()
         if self.file.is_file():
             with self.file.open(encoding="utf-8", errors="replace", newline="") as lines:

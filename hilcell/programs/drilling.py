@@ -1,12 +1,12 @@
-"""From corrected targets to the program of their station: base, tool, stand-off and clear paths.
+"""From corrected targets to the program of their station: base, tool, stand-off, clear paths.
+Lengths mm, angles rad.
 
-Nothing but the holes and the cell's boxes is known of a part. So it is taken to lie behind the
-plane of each hole, as far as that hole is the nearest one and not farther than `REACH_MM`; and a
-box of ``[[keep_out]]`` on which a hole lies is the part, or the jig that carries it, unless the box
-sticks out in front of that hole. The tool's tip is in front of all else of the tool, so it is
-judged against both, and so is the arm as far as its wrist; the wrist, and the line from the flange
-to the tip, are judged against the other boxes, as in a run. Close to a hole, on the straight path,
-the tip may be near to such a box, but not in it. Lengths mm, angles rad.
+Only the holes and the cell's boxes are known of a part. It is assumed behind the plane of each
+hole, where that hole is the nearest one and not farther than `REACH_MM`; a box of ``[[keep_out]]``
+on which a hole lies is the part, or its jig, unless the box sticks out in front of that hole. The
+tip, in front of all else of the tool, is judged against both, and so is the arm as far as its
+wrist; the wrist, and the line from flange to tip, against the other boxes, as in a run. On the
+straight path close to a hole the tip may be near to such a box, but not in it.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Drilling:
         return self.tip.arm(self.cell.robot.arm())
 
     def straight_rad(self, names: Sequence[str], command: Array) -> Array:
-        """Return joints (N, K, 6) from the stand-off to commands (N, 6) in {W}, within limits."""
+        """Joints (N, K, 6) from the stand-off to commands (N, 6) in {W}, within limits."""
         count = 1 + int(np.ceil(self.standoff_mm / self.STEP_MM))
         back_mm = np.linspace(self.standoff_mm, 0.0, count)
         poses = self._drawn_back(command, back_mm)
@@ -81,19 +81,17 @@ class Drilling:
         return NominalRobot(self.arm, robot.status, robot.margin_limits_rad, home_rad)
 
     def drawn_back_rad(self, command: Array) -> Iterator[Array]:
-        """Yield the joints (6,) in reach behind a command's stand-off, nearest first."""
+        """Yield the reachable joints (6,) behind a command's stand-off, nearest first."""
         back_mm, robot = self.standoff_mm + np.array(self.DRAWN_BACK_MM), self._robot
         (poses,) = self._drawn_back(command[None], back_mm)
         yield from robot.joints_for(poses[robot.reachable(poses)])
 
     def _drawn_back(self, command: Array, back_mm: Array) -> Array:
-        """Return poses (N, K, 4, 4) in {B}, drawn back (K,) along z from commands (N, 6) in {W}."""
         moved = np.repeat(poses_from_zyx(command)[:, None], len(back_mm), axis=1)
         moved[..., :3, 3] -= back_mm[:, None] * moved[..., :3, 2]
         return inverse(self.T_W_B) @ moved
 
     def places(self, joints_rad: Array) -> Places:
-        """Return the tip at joints (N, 6)."""
         values = as_listed(zyx_from_pose(self.T_W_B @ forward(self.arm, joints_rad)))
         return Places(values, joints_rad, status_of(self.arm, joints_rad))
 
@@ -106,12 +104,12 @@ def station_program(
     part: Part,
     remarks: Sequence[str],
 ) -> StationProgram:
-    """Return the program for commands (N, 6) of the tip in {W}, as a list states them.
+    """Program for commands (N, 6) of the tip in {W}, as listed.
 
-    Between holes the tip keeps half of the stand-off at least. Where the direct path is not clear,
-    it is drawn back farther first, at the hole before, at the next one, or at both. At each
-    stand-off it comes from below on every axis, by ``robot.approach_deg``, as every pose of the
-    calibration did. Raises `HilcellError` where the arm leaves its limits, or no path is clear.
+    Between holes the tip keeps at least half of the stand-off. Where the direct path is not clear,
+    it is drawn back farther, at the hole before, at the next one, or at both. At each stand-off it
+    comes from below on every axis, by ``robot.approach_deg``, as in the calibration. Raises
+    `HilcellError` where the arm leaves its limits, or no path is clear.
     """
     robot = drilling.cell.robot
     straight_rad = drilling.straight_rad(names, command)
@@ -166,10 +164,10 @@ def station_program(
 def _path(
     clearance: Clearance, start: Array, end: Array, before: Iterable[Array], after: Iterable[Array]
 ) -> tuple[list[Array], str]:
-    """Return the stops (M, 6) of a clear path between joints (6,), and why there is none, or "".
+    """Stops (M, 6) of a clear path between joints (6,), and why there is none, or "".
 
-    ``before`` and ``after`` are joints (6,) at which the tip is drawn back from the holes at the
-    path's start and end, nearest first; they are asked for only where the direct path is not clear.
+    ``before`` and ``after``: joints (6,) at which the tip is drawn back from the holes at the
+    path's start and end, nearest first; evaluated only where the direct path is not clear.
     """
 
     def refusal(stops: Sequence[Array]) -> str:
@@ -199,7 +197,7 @@ class Part:
         return cKDTree(self.points_mm)
 
     def free_mm(self, places_mm: Array) -> Array:
-        """Return how far places (K, 3) in {W} are in front of the part; inf beyond `REACH_MM`."""
+        """Distance of positions (K, 3) in {W} in front of the part; inf beyond `REACH_MM`."""
         off_mm, nearest = self._tree.query(places_mm)
         from_hole = places_mm - self.points_mm[nearest]
         front_mm = np.einsum("ki,ki->k", from_hole, self.outward[nearest])
@@ -238,7 +236,7 @@ class Clearance:
                 self._to_wrist = Surroundings(shape, envelope, layout, carriers, self.TO_WRIST)
 
     def refusal(self, start_rad: Array, end_rad: Array) -> str:
-        """Return why a motion of all joints in step between (6,) and (6,) is not clear, or ""."""
+        """Why a synchronous joint motion between (6,) and (6,) is not clear, or ""."""
         tip_mm = self._sampled_mm(start_rad, end_rad)
         free_mm = float(self._part.free_mm(tip_mm).min())
         if not free_mm >= self._least_mm:
@@ -252,7 +250,7 @@ class Clearance:
         )
 
     def straight_refusal(self, joints_rad: Array) -> str:
-        """Return why a straight path by joints (K, 6) to a hole is not clear, or ""."""
+        """Why a straight path by joints (K, 6) to a hole is not clear, or ""."""
         tip_mm = self._tip_mm(joints_rad)
         before = np.linalg.norm(tip_mm - tip_mm[-1], axis=1) > self.AT_HOLE_MM
         *_, end_mm = free_mm = self._part.free_mm(tip_mm)  # commands lie beside their holes
@@ -269,7 +267,7 @@ class Clearance:
         )
 
     def _tool_passes_through(self, joints_rad: Array) -> str:
-        """Return which box the line from flange to tip is in, of those that carry no hole."""
+        """Box that contains a part of the line from flange to tip, of those without a hole."""
         x_mm = self._arm.tool[:3, 3]
         shares = np.linspace(0.0, 1.0, 2 + int(np.linalg.norm(x_mm) / self.SAMPLE_MM))
         flanges = forward(self._arm, joints_rad) @ inverse(self._arm.tool)
@@ -300,7 +298,7 @@ class Clearance:
         return ""
 
     def _sampled_mm(self, start_rad: Array, end_rad: Array) -> Array:
-        """Return places (K, 3) of the tip in {W} along a motion."""
+        """Positions (K, 3) of the tip in {W} along a motion."""
         path_rad = end_rad - start_rad
         rough_mm = self._tip_mm(start_rad + np.linspace(0.0, 1.0, self.SAMPLES)[:, None] * path_rad)
         length_mm = sum(float(np.linalg.norm(b - a)) for a, b in pairwise(rough_mm))
@@ -320,7 +318,7 @@ class _Box:
     ON_BOX_MM = 5.0  # a hole this near to a box lies on it
 
     def carries(self, part: Part, front_mm: float) -> bool:
-        """Whether holes lie on it, and it does not stick out beside them: ``front_mm`` in front of
+        """Whether holes lie on it, and it does not stick out beside them. ``front_mm`` in front of
         them it is at least half as far away.
         """
         on_it = self._outside_mm(part.points_mm) <= self.ON_BOX_MM
@@ -328,7 +326,7 @@ class _Box:
         return bool(on_it.any() and (self._outside_mm(in_front_mm) >= front_mm / 2).all())
 
     def contains(self, places_mm: Array) -> bool:
-        """Whether any of places (K, 3) in {W} is in it, or is no number."""
+        """Whether any of positions (K, 3) in {W} is in it, or is NaN."""
         return not bool((self._outside_mm(places_mm) > 0.0).all())
 
     def _outside_mm(self, places_mm: Array) -> Array:

@@ -1,7 +1,7 @@
 """Holes to drill, in {W}, and the tool orientations that each of them allows.
 
-A hole with a normal fixes the tool's axis, {T}'s z, which points against the part's outward
-normal; the turn about it is free. A target with angles fixes the whole orientation.
+A hole with a normal fixes {T}'s z, which points against the part's outward normal; rotation about
+it is free. A target with angles fixes the whole orientation.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Holes:
 
     @property
     def outward(self) -> Array:
-        """Return the part's outward normals (N, 3): the tool points against them."""
+        """The part's outward normals (N, 3): the tool points against them."""
         return np.asarray(-self.tools[:, 0, :, 2])
 
     def one(self, number: int) -> Holes:
@@ -50,11 +50,11 @@ class Holes:
         )
 
     def reflector_poses(self) -> Array:
-        """Return all allowed poses (N, K, 4, 4) of {T} in {W}."""
+        """Allowed poses (N, K, 4, 4) of {T} in {W}."""
         return self.poses() @ self.T_D_T
 
     def poses(self) -> Array:
-        """Return all allowed poses (N, K, 4, 4) of the tool's tip in {W}."""
+        """Allowed poses (N, K, 4, 4) of the tool's tip in {W}."""
         poses = np.zeros((*self.tools.shape[:2], 4, 4))
         poses[..., :3, :3] = self.tools
         poses[..., :3, 3] = self.points_mm[:, None]
@@ -62,7 +62,7 @@ class Holes:
         return poses
 
     def with_rotation_near(self, R: Array) -> Holes:
-        """Return the holes with one turn more where free: with {T} nearest to ``R`` (3, 3)."""
+        """The holes with one more rotation where free: with {T} nearest to ``R`` (3, 3)."""
         rounding = 1e-9  # of a cosine
         if self.tools.shape[1] == 1:
             return self  # angles, which fix the turn
@@ -104,7 +104,7 @@ class Holes:
 
     @property
     def warnings(self) -> list[str]:
-        """As many of the `twins` as a person reads."""
+        """A readable number of the `twins`."""
         return bounded(self.twins)
 
 
@@ -128,7 +128,7 @@ def read_holes(path: Path, T_D_T: Array = REFLECTOR_ITSELF) -> Holes:
 
 
 def tools_against(normals: Array) -> Array:
-    """Return orientations (N, `TOOL_ROTATIONS`, 3, 3) whose z points against normals (N, 3)."""
+    """Orientations (N, `TOOL_ROTATIONS`, 3, 3) whose z points against normals (N, 3)."""
     z = -normals / np.linalg.norm(normals, axis=1, keepdims=True)
     aside = np.eye(3)[np.argmin(np.abs(z), axis=1)]  # never along z
     x = np.cross(aside, z)

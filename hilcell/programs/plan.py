@@ -1,13 +1,12 @@
 """From holes to stations and orders of visit, after the paper's section 2.
 
-As few stations as reach all holes; each hole belongs to the station closest to it among those that
-reach it, and the slide moves only when the next hole is out of reach. Travel is counted between the
-holes of one station; between stations the robot is at its safe pose.
+As few stations as reach all holes; each hole belongs to the closest station that reaches it. Travel
+counts between the holes of one station; between stations the robot is at its safe pose.
 
-A hole is reached in the cell's configuration, for which its errors are known, with room to the
-joints' limits. The tracker must see it from wherever the robot is, so range depends on the hole
-alone. Where holes are planned for a calibration, its `Volume` says which poses it corrects at each
-station; `compensate` refuses what is outside of it: neither contradicts the other.
+A hole is reached in the cell's configuration, for which its errors are known, with margin to the
+joints' limits. The tracker must measure it from any station, so range depends on the hole alone.
+Where holes are planned for a calibration, its `Volume` gives the poses that `compensate` corrects
+at each station.
 """
 
 from __future__ import annotations
@@ -54,12 +53,11 @@ class HolePlan:
 
     @property
     def bound_mm(self) -> float:
-        """Return a travel that no orders of these stations' holes are below."""
         return sum(each.bound_mm for each in self.stations)
 
 
 def ratio(travel_mm: float, bound_mm: float) -> float:
-    """Return travel over bound, 1 where nothing is travelled."""
+    """Travel over bound, 1 where nothing is travelled."""
     return travel_mm / bound_mm if bound_mm > 0 else 1.0
 
 
@@ -73,8 +71,8 @@ def plan(
 ) -> HolePlan:
     """Plan the holes at recorded stations; ``free`` adds a raster along the travel.
 
-    With ``calibrated`` each hole is drilled at a station, and with a turn of the tool, where it is
-    corrected. ``say`` is called with each step of a plan that takes long. Raises `HilcellError`.
+    With ``calibrated`` each hole is drilled at a station, and with a rotation of the tool, where it
+    is corrected. ``say`` reports each step of a long plan. Raises `HilcellError`.
     """
     slow_holes = 500  # whose plan takes seconds
     candidates = _candidates(cell, free=free)
@@ -102,7 +100,7 @@ def plan(
 
 
 def along_rail(rail_mm: dict[int, float]) -> list[int]:
-    """Return the keys in one sweep, from the end nearer to 0, where homing leaves the slide."""
+    """Keys in one sweep, from the end nearer to 0, where homing leaves the slide."""
     order = sorted(rail_mm, key=lambda each: rail_mm[each])
     if abs(rail_mm[order[-1]]) < abs(rail_mm[order[0]]):
         order.reverse()
@@ -127,7 +125,7 @@ def _candidates(cell: Cell, *, free: bool) -> list[Station]:
 
 
 def _off_mm(cell: Cell, holes: Holes, stations: list[Station]) -> Array:
-    """Return how far along the rail each hole lies from each station, (N, S)."""
+    """Distance of each hole from each station along the rail, (N, S)."""
     from_start = holes.points_mm - cell.layout.nominal_base(0.0)[:3, 3]
     along_mm = from_start @ np.array(cell.layout.rail_direction)
     rail_mm = np.array([station.rail_mm for station in stations])
@@ -135,7 +133,7 @@ def _off_mm(cell: Cell, holes: Holes, stations: list[Station]) -> Array:
 
 
 def _remoteness(off_mm: Array, ok: Bools) -> Array:
-    """Return how far off the holes are that each station reaches, (S,), 0..1."""
+    """Remoteness of the holes that each station reaches, (S,), 0..1."""
     count = ok.sum(axis=0)
     mean_mm = np.where(ok, off_mm, 0.0).sum(axis=0) / np.maximum(count, 1)
     return np.where(count > 0, mean_mm / max(float(off_mm.max()), 1.0), 1.0)
@@ -158,10 +156,10 @@ def _at_station(
 
 
 def fewest(ok: Bools, burden: Array) -> Ints:
-    """Return the columns of ``ok`` (N, S), a least number of them, that reach every row.
+    """Columns of ``ok`` (N, S), as few as possible, that reach every row.
 
-    ``burden`` (S,), 0..1 each, decides only between sets of equal number: its sum is made less
-    than one station costs. Raises `HilcellError` where a row is reached by none.
+    ``burden`` (S,), 0..1 each, decides only between sets of equal number: its sum is scaled below
+    one station. Raises `HilcellError` where a row is reached by none.
     """
     from scipy.optimize import Bounds, LinearConstraint, milp  # slow to load, seldom needed
 
@@ -184,7 +182,9 @@ def fewest(ok: Bools, burden: Array) -> Ints:
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """Holes against stations, each (N, S): ``ok``, and the turn of the tool with most room."""
+    """Holes against stations, each (N, S): ``ok``, and the rotation of the tool with most
+    margin.
+    """
 
     ok: Bools
     turn: Ints
@@ -193,7 +193,7 @@ class Reach:
 def reach(
     cell: Cell, holes: Holes, stations: Sequence[Station], served: Volume | None = None
 ) -> Reach:
-    """Return which holes each station reaches and corrects; raises `HilcellError` with reasons."""
+    """Holes that each station reaches and corrects; raises `HilcellError` with reasons."""
     room_rad = np.empty((len(holes.names), len(stations)))
     turn = np.empty(room_rad.shape, dtype=int)
     poses = holes.reflector_poses()
@@ -213,7 +213,7 @@ def _in_base(cell: Cell, station: Station, poses: Array) -> Array:
 
 
 def _room_rad(cell: Cell, poses: Array) -> Array:
-    """Return the room to a joint limit or straight wrist at poses in {B}; -inf out of reach."""
+    """Margin to a joint limit or straight wrist at poses in {B}; -inf out of reach."""
     robot, limits = cell.robot.nominal(), cell.robot.margin_limits_rad
     room = np.full(poses.shape[:-2], -np.inf)
     there = robot.excess_mm(poses) == 0
@@ -240,7 +240,7 @@ def _in_range(cell: Cell, holes: Holes) -> Bools:
 
 @dataclass(frozen=True, slots=True)
 class _Unreached:
-    """Says why holes are drilled from none of the stations; ``served`` is what is corrected."""
+    """Reasons why holes are drilled from no station; ``served``: what is corrected."""
 
     cell: Cell
     holes: Holes
@@ -283,7 +283,7 @@ class _Unreached:
         )
 
     def _why_not(self, hole: Holes) -> str:
-        """Return why one hole is drilled from no station: out of reach, or not served there."""
+        """Why one hole is drilled from no station: out of reach, or not corrected there."""
         cell, stations, served = self.cell, self.stations, self.served
         names = [each.name for each in stations]
         if served is not None and served.points_back(names, hole.reflector_poses()[0]):
@@ -297,7 +297,7 @@ class _Unreached:
         return self._reason(hole)
 
     def _reason(self, hole: Holes) -> str:
-        """Return why one hole is reached from no station, where least is missing."""
+        """Why one hole is reached from no station, for the nearest one."""
         cell, stations = self.cell, self.stations
         range_mm, (low, high) = float(_range_mm(cell, hole)[0]), _range_limits_mm(cell)
         if not low <= range_mm <= high:
@@ -336,23 +336,25 @@ class Volume:
         return list(self._bases)
 
     def orientation(self, station: str) -> Array:
-        """Return the calibrated orientation (3, 3) in {W} at a station."""
+        """The calibrated orientation (3, 3) in {W} at a station."""
         return np.asarray(self._bases[station][:3, :3] @ np.array(self._validity.orientation))
 
     def takes(self, station: str, poses: Array) -> Bools:
-        """Return which poses (..., 4, 4) in {W} are corrected at a station."""
+        """Which poses (..., 4, 4) in {W} are corrected at a station."""
         outside_mm, turned_deg = self._beyond(station, poses.reshape(-1, 4, 4))
         limit_deg = self._validity.orientation_tolerance_deg - self.ROUNDING_DEG
         taken: Bools = (outside_mm <= 0.0) & (turned_deg <= limit_deg)
         return taken.reshape(poses.shape[:-2])
 
     def points_back(self, stations: Sequence[str], poses: Array) -> bool:
-        """Whether all poses (K, 4, 4) in {W} have z against every calibrated one's at a station."""
+        """Whether all poses (K, 4, 4) in {W} have z opposite to every calibrated one's at a
+        station.
+        """
         bases = (self._bases[name] for name in stations if name in self._bases)
         return any(bool(self._validity.points_back(inverse(T) @ poses).all()) for T in bases)
 
     def refusal(self, stations: Sequence[str], poses: Array) -> str:
-        """Return why none of poses (K, 4, 4) in {W} is corrected, where least is missing."""
+        """Why none of poses (K, 4, 4) in {W} is corrected, for the nearest one."""
         known = [name for name in stations if name in self._bases]
         if not known:
             return f"none of its stations is calibrated; calibrated: {', '.join(self._bases)}"
@@ -375,7 +377,7 @@ class Volume:
         )
 
     def _beyond(self, station: str, poses: Array) -> tuple[Array, Array]:
-        """Return how far poses (N, 4, 4) are outside (mm, 0 inside) and turned (deg), each (N,)."""
+        """Distance outside (mm, 0 inside) and rotation (deg) of poses (N, 4, 4), each (N,)."""
         in_base = inverse(self._bases[station]) @ poses
         places_mm = in_base[:, :3, 3]
         outside_mm = lengths_mm(places_mm - self._grid.clamped(places_mm))

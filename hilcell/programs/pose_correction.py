@@ -1,9 +1,8 @@
 """Corrected poses of a robot that was measured elsewhere, with a 95 % bound of each.
 
-A controller is assumed to know the nominal arm: joints for a pose, and the pose of joints, are the
-nominal arm's. Its tool is a reflector as identified; its base is where nominal kinematics with that
-tool fit the training poses best. An identified base would do as well, but where the poses do not
-determine it, it lies millimetres aside, and all corrections would make up for that.
+The controller is assumed to use the nominal arm. Its tool is a reflector as identified; its base is
+where nominal kinematics with that tool fit the training poses best: an identified base may be
+millimetres off where the poses do not determine it, and all corrections would compensate for that.
 
 Targets are a program, or a list: of poses of the tool point in the robot's root frame, under the
 header of `compensate`, or of joints under ``name,j1_deg,...,j6_deg``.
@@ -51,8 +50,8 @@ from hilcell.sanitize import counted
 class CorrectedPoses:
     """N poses of a tool point in the robot's root frame, and the commands that reach them.
 
-    ``nominal`` and ``command`` (N, 4, 4) in mm, with equal orientations; ``joints_rad`` (N, 6) are
-    the nominal arm's at ``nominal``. ``bounds`` are of the position that the command reaches.
+    ``nominal`` and ``command`` (N, 4, 4) in mm, with equal orientations; ``joints_rad`` (N, 6): the
+    nominal arm's at ``nominal``; ``bounds``: of the position that the command reaches.
     """
 
     names: list[str]
@@ -64,18 +63,17 @@ class CorrectedPoses:
 
     @property
     def bound95_mm(self) -> Array:
-        """Return the lengths (N,) that 95 % of the 3-D errors keep."""
+        """95 % bounds (N,) of the 3-D errors."""
         return self.bounds.radii_mm
 
     @property
     def covariance_mm2(self) -> Array:
-        """Return the covariances (N, 3, 3) of the positions, in the robot's root frame."""
+        """Covariances (N, 3, 3) of the positions, in the robot's root frame."""
         return self.bounds.covariance_mm2
 
     def command_rad(self) -> Array:
-        """Return the nominal arm's joints (N, 6) at ``command``.
-
-        Raises `HilcellError` where a joint turns by more than 5 deg, or leaves its limits.
+        """The nominal arm's joints (N, 6) at ``command``. Raises `HilcellError` where a joint moves
+        by more than 5 deg, or leaves its limits.
         """
         return self.reach.near(self.command, self.joints_rad, self.names)
 
@@ -97,8 +95,8 @@ class PoseCorrection:
 
     @classmethod
     def of(cls, fit: RobotFit, tool: str) -> Self:
-        """Return the correction for the reflector ``tool``; raises `FitError` where nominal
-        kinematics were chosen.
+        """Correction for the reflector ``tool``; raises `FitError` where nominal kinematics were
+        chosen.
         """
         most_known = 500  # measured poses that are searched from
         if fit.chosen == NOMINAL:
@@ -111,7 +109,7 @@ class PoseCorrection:
         return cls(method, controller, Reach(arm, robot.base, known, robot.limits_rad))
 
     def of_poses(self, poses: ArrayLike, names: Sequence[str] = ()) -> CorrectedPoses:
-        """Return poses (N, 4, 4) of the tool point in the robot's root frame, corrected.
+        """Corrected poses (N, 4, 4) of the tool point in the robot's root frame.
 
         Raises `HilcellError` naming poses that are out of reach, or that the training rows do not
         determine; without ``names`` they are numbered from 1.
@@ -121,12 +119,12 @@ class PoseCorrection:
         return self.corrected(labels, nominal, self.reach.joints(nominal, labels))
 
     def of_joints(self, joints_rad: ArrayLike, names: Sequence[str] = ()) -> CorrectedPoses:
-        """Return the poses of the nominal arm at joints (N, 6), corrected, as `of_poses` does."""
+        """Corrected poses of the nominal arm at joints (N, 6), as `of_poses`."""
         joints = np.array(joints_rad, dtype=float)
         return self.corrected(_labels(names, joints), self.reach.poses(joints), joints)
 
     def corrected(self, names: list[str], poses: Array, joints_rad: Array) -> CorrectedPoses:
-        """Return poses (N, 4, 4) corrected, of which the nominal joints (N, 6) are known."""
+        """Corrected poses (N, 4, 4) with known nominal joints (N, 6)."""
         errors = self.controller.errors(self.method, joints_rad)
         command = poses.copy()
         command[:, :3, 3] -= errors.error_mm
@@ -148,8 +146,8 @@ def _labels(names: Sequence[str], values: Array) -> list[str]:
 class Reach:
     """Poses and joints of a nominal arm with a tool: its base in the root, measured joints.
 
-    ``known_rad`` (M, 6) are joints that were measured: a pose takes the posture of the nearest.
-    ``limits_rad`` (2, 6).
+    ``known_rad`` (M, 6): measured joints: a pose takes the posture of the nearest. ``limits_rad``
+    (2, 6).
     """
 
     arm: Arm
@@ -160,11 +158,10 @@ class Reach:
     STARTS = 8  # measured poses from which one is searched
 
     def poses(self, joints_rad: Array) -> Array:
-        """Return the tool's frames in the root (N, 4, 4)."""
         return self.base @ forward(self.arm, joints_rad)
 
     def joints(self, poses: Array, names: Sequence[str]) -> Array:
-        """Return joints (N, 6) for poses in the root, in the one posture that was measured."""
+        """Joints (N, 6) for poses in the root, in the one posture that was measured."""
         if not self._one_posture:
             raise HilcellError(
                 "the measured poses have several postures (elbow, wrist), and a pose does not say "
@@ -184,7 +181,7 @@ class Reach:
         return joints
 
     def near(self, poses: Array, joints_rad: Array, names: Sequence[str]) -> Array:
-        """Return joints (N, 6) for poses a correction away; refuses far turns, and other limits."""
+        """Joints (N, 6) for poses a correction away; refuses large motions, and other limits."""
         found, arrived = refined(self.arm, inverse(self.base) @ poses, joints_rad)
         # of a joint by a correction: beyond, the wrist is singular there
         most_rotation_rad = np.radians(5.0)
@@ -207,8 +204,8 @@ class Reach:
         return not self._searched(self.poses(self.known_rad), enough=self.STARTS)[2].any()
 
     def _searched(self, poses: Array, enough: int) -> tuple[Array, Bools, Bools]:
-        """Return joints (N, 6), which were found, which in several postures, each (N,): searched
-        from measured poses nearby until ``enough`` lead there.
+        """Joints (N, 6), which converged, which in several postures, each (N,). Searched from
+        measured poses nearby until ``enough`` lead there.
         """
         in_base = inverse(self.base) @ poses
         joints, count = np.zeros((len(poses), 6)), np.zeros(len(poses), dtype=int)
@@ -227,7 +224,6 @@ class Reach:
         return joints, count > 0, several
 
     def _nearest(self, poses: Array) -> Array:
-        """Return the joints (N, S, 6) of the `STARTS` measured poses that are nearest."""
         known = self.poses(self.known_rad)
         shift = poses[:, None, :3, 3] - known[:, :3, 3]
         # |A - B| of rotations is 2 sqrt 2 times the sine of half the angle between them.
@@ -246,7 +242,7 @@ def refuse(bad: Bools, names: Sequence[str], what: str, act: str) -> None:
 
 
 def with_tool_point(arm: Arm, point_mm: Array) -> Arm:
-    """Return the arm whose tool frame is shifted to a point (3,) in it."""
+    """The arm whose tool frame is shifted to a point (3,) in it."""
     tool = arm.tool.copy()
     tool[:3, 3] += tool[:3, :3] @ point_mm
     return replace(arm, tool=tool)
@@ -285,7 +281,7 @@ class Controller:
         return np.asarray(apply(inverse(self.robot.tool), self.smr_mm[None])[0])
 
     def errors(self, method: Method, joints_rad: Array) -> Prediction:
-        """Return e = actual - nominal of the reflector in the root frame at joints (N, 6)."""
+        """Errors e = actual - nominal of the reflector in the root frame at joints (N, 6)."""
         rows = Measurements.unmeasured(joints_rad, self.target)
         seen_mm, covariance_mm2 = method.predict(rows)
         nominal_mm = apply_each(forward(self.robot.arm, joints_rad), self.smr_mm)
@@ -300,7 +296,7 @@ JOINT_HEADER = ["name", *(f"j{n}_deg" for n in range(1, 7))]
 
 @dataclass(frozen=True, eq=False)
 class ArmTargets(TargetFiles):
-    """Targets of a tool point, corrected by what was fitted; ``remark`` names joints far beyond."""
+    """Targets of a tool point, corrected by a fit; ``remark`` names joints far beyond."""
 
     controller: Controller
     remark: str
@@ -314,7 +310,7 @@ class ArmTargets(TargetFiles):
         tool: str,
         say: Callable[[str], object],
     ) -> Self:
-        """Return targets of the reflector ``tool``, corrected by the chosen method."""
+        """Targets of the reflector ``tool``, corrected by the chosen method."""
         correction, train = PoseCorrection.of(fit, tool), fit.train
         reach = correction.reach
         program = load_program(source)
@@ -351,7 +347,7 @@ class ArmTargets(TargetFiles):
         }
 
     def write(self, out: Path, bounds: Path | None, inputs: Iterable[Path]) -> list[str]:
-        """Write all files; return in words what was done. Raises `NotWritten`."""
+        """Write all files; return messages. Raises `NotWritten`."""
         written, notes = self.write_files(out, bounds, inputs)
         where = " ".join(f"{each:.4f}" for each in self.controller.tool_mm)
         count, tool = len(self.targets.names), f"{self.controller.target} (tool point {where} mm)"
@@ -372,7 +368,6 @@ class ArmTargets(TargetFiles):
         source: Path,
         say: Callable[[str], object],
     ) -> None:
-        """Refuse what only a calibration can judge, other postures, and other whole turns."""
         problems = [
             f"{each.where}: strokes are corrected by `compensate` alone" for each in program.strokes
         ]
@@ -398,7 +393,7 @@ class ArmTargets(TargetFiles):
 
     @staticmethod
     def _beyond(names: list[str], joints_rad: Array, train: Measurements) -> str:
-        """Return which joints go beyond those measured, or "": nothing was learnt there."""
+        """Joints beyond those measured, where nothing was learnt, or ""."""
         margin_rad = np.radians(5.0)  # beyond the measured joints that still counts as within
         low, high = (
             train.joints_rad.min(axis=0) - margin_rad,
@@ -416,8 +411,8 @@ class ArmTargets(TargetFiles):
 
 
 def read_list(path: Path, reach: Reach) -> tuple[list[str], Array, Array, bool]:
-    """Return N names, the tool's poses (N, 4, 4) in the root, nominal joints (N, 6) for them, and
-    whether these are what is listed; raises `SettingsError`, `HilcellError`.
+    """N names, the tool's poses (N, 4, 4) in the root, nominal joints (N, 6), whether these are
+    listed. Raises `SettingsError`, `HilcellError`.
     """
     rows = read_named_rows(path, read_file(path), [HEADER, JOINT_HEADER], "targets")
     if rows.header == HEADER:

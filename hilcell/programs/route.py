@@ -1,31 +1,28 @@
-"""Short routes through holes, and a proven bound below which no route can be.
+"""Short routes through holes, and a proven lower bound.
 
-A route is open and its ends are free: a hub at distance 0 from every hole closes it to a tour.
-Nearest neighbours start it, 2-opt and Or-opt over near holes shorten it, and small kicks repeat
-that until it is near its bound. Where a few kicks do not get it there, the bound is sharpened
-first. A search that stops by the clock would answer differently on another machine; this one counts
-its kicks and draws them from a fixed seed.
+A route is open with free ends: a hub at distance 0 from every hole closes it to a tour. Nearest
+neighbours start it, 2-opt and Or-opt over near holes shorten it, and small kicks, counted and drawn
+from a fixed seed, repeat that until it is near its bound, which is sharpened first where a few
+kicks do not suffice.
 
-The bound: give each hole a price that all its edges cost in addition. A tour has two edges at each
+Bound: give each hole a price that all its edges cost in addition. A tour has two edges at each
 hole, so it costs twice the prices more than its length; and the hub's two cheapest edges with the
 least spanning tree of the holes never cost more than a tour. Their cost less twice the prices is a
-bound for any prices (Held and Karp's 1-trees). Prices may be tuned on few edges, but a bound counts
-only when evaluated on all; and the best prices still leave a gap, about 1 % for scattered holes,
-12 % where single rows meet.
+bound for any prices (Held and Karp's 1-trees), once evaluated on all edges. The best prices leave a
+gap, about 1 % for scattered holes, 12 % where single rows meet.
 
 There edges get shares 0..1, two per hole, and cuts that every tour respects: subtours (2 edges
-leave any set of holes), blossoms and stars. The solver's value is no proof, for it uses few edges
-and rounds. Its prices are one: any prices of holes and cuts bound every tour, once the edges that
-they make cheap are counted over all pairs.
+leave any set of holes), blossoms and stars. The solver uses few edges and rounds, so its value is
+no proof, but its prices of holes and cuts bound every tour, once the edges that they make cheap are
+counted over all pairs.
 
-A star is the cost for every tour of an odd number of row ends at one place. Where three rows meet,
-one has to be passed twice or left by a jump. A blossom covers one step along the rows; shares avoid
-it by passing the row one and a third times. A star covers many steps: handles H, each within the
-next, and an odd number t of disjoint teeth that each have a node in the first handle, in every
-shell between two handles, and outside the last. Every tour leaves them all together H (t + 1) + 2 t
-times at least: each tooth that is one piece of the tour crosses all handles, each further piece
-spares one crossing and costs two ends, and a handle is left an even number of times. (Fleischmann
-1988; one handle: a comb.)
+A star covers an odd number of row ends at one place, where one row has to be passed twice or left
+by a jump: handles H, each within the next, and an odd number t of disjoint teeth that each have a
+node in the first handle, in every shell between two handles, and outside the last. Every tour
+leaves them all together H (t + 1) + 2 t times at least: each tooth that is one piece of the tour
+crosses all handles, each further piece spares one crossing and costs two ends, and a handle is left
+an even number of times. (Fleischmann 1988; one handle: a comb. A blossom covers only one step along
+the rows.)
 """
 
 from __future__ import annotations
@@ -55,7 +52,7 @@ class Route:
 
 
 def route(points_mm: Array) -> Route:
-    """Return a short open route with free ends through points (N, 3), N >= 1."""
+    """A short open route with free ends through points (N, 3), N >= 1."""
     good = 1.02  # a route this near to its bound is not worth more search
     far = 1.03  # over its bound: the bound is to blame, as a rule, and worth sharpening
     first_kicks_per_hole = 2  # before the bound is sharpened
@@ -80,7 +77,7 @@ def route(points_mm: Array) -> Route:
 
 
 def _nearest_neighbours(distance: Array) -> Ints:
-    """Return the order (N,) that always goes to the nearest hole left, from the outermost."""
+    """Order (N,) by nearest neighbours, from the outermost hole."""
     open_ = np.ones(len(distance), dtype=bool)
     order = [int(distance.sum(axis=1).argmax())]
     for _ in range(len(distance) - 1):
@@ -115,7 +112,7 @@ class _Search:
         self._chance = random.Random(1)  # noqa: S311 - no secret
 
     def run(self, good_mm: float, kicks_per_hole: int) -> Ints:
-        """Shorten until ``good_mm`` or all kicks are spent; another run goes on from there."""
+        """Shorten until ``good_mm`` or all kicks are spent; another call continues."""
         self._enqueue(self._tour)
         length_mm = self._length() - self._shortened()
         best_mm, best = length_mm, self._tour.copy()
@@ -252,10 +249,10 @@ ROUNDING = 1e-9  # share of the bound given away to rounding
 
 
 def lower_bound(distance: Array, order: Ints) -> float:
-    """Return a length that no open route through distances (N, N) is below.
+    """A lower bound of open routes through distances (N, N).
 
-    ``order`` (N,) is any route: its edges make the tuning's graph connected, its length scales
-    the steps. The bound holds however well the prices were tuned.
+    ``order`` (N,) is any route: its edges make the tuning's graph connected, its length scales the
+    steps. The bound is valid however well the prices were tuned.
     """
     trees = 4  # of tuning, each on the edges that the full tree of the last one used as well
     if len(distance) < 3:
@@ -275,7 +272,7 @@ def lower_bound(distance: Array, order: Ints) -> float:
 
 
 def candidates(distance: Array, order: Ints) -> Ints:
-    """Return edges (E, 2), lower hole first: to near holes, and along the route."""
+    """Edges (E, 2), lower hole first: to near holes, and along the route."""
     count = len(distance)
     near = np.argsort(distance, axis=1, kind="stable")[:, : CANDIDATES + 1]
     first = np.repeat(np.arange(count), near.shape[1])
@@ -287,7 +284,7 @@ def candidates(distance: Array, order: Ints) -> Ints:
 
 
 def _tuned(distance: Array, edges: Ints, price: Array, target_mm: float) -> Array:
-    """Return prices (N,) that raise the bound over ``edges``, by subgradient steps."""
+    """Prices (N,) that raise the bound over ``edges``, by subgradient steps."""
     tuning_steps = 400
     patience = 15  # steps without a better bound before the step is halved
     inertia = 0.3  # share of the step before in the next one
@@ -317,7 +314,7 @@ def _tuned(distance: Array, edges: Ints, price: Array, target_mm: float) -> Arra
 
 
 def _evaluated(distance: Array, price: Array) -> tuple[float, Ints]:
-    """Return the bound for these prices on all edges, and the tree (N - 1, 2), by Prim."""
+    """The bound for these prices on all edges, and the tree (N - 1, 2), by Prim."""
     count = len(price)
     outside = np.ones(count, dtype=bool)
     cheapest, parent = np.full(count, np.inf), np.zeros(count, dtype=int)
@@ -355,7 +352,7 @@ class Cut:
 
 
 def star(handles: Bools, teeth: Bools) -> Cut:
-    """Return the star of handles (H, M), each within the next, and an odd number of teeth."""
+    """Star of handles (H, M), each within the next, and an odd number of teeth."""
     least = len(handles) * (len(teeth) + 1.0) + 2.0 * len(teeth)
     return Cut(np.vstack([handles, teeth]), least)
 
@@ -570,9 +567,8 @@ class _Shares:
 
 
 def cut_bound(distance: Array, order: Ints, enough_mm: float) -> float:
-    """Return a length below every open route through distances (N, N), up to ``enough_mm``.
-
-    ``order`` (N,) is a good route, among whose stretches cuts are sought.
+    """A lower bound of open routes through distances (N, N), up to ``enough_mm``. ``order`` (N,): a
+    good route, among whose stretches cuts are searched.
     """
     rounds = 25
     proven = 1e-4  # share of the bound that is not worth another edge
@@ -611,7 +607,7 @@ class _Program:
         self._node_price, self._cut_price = np.zeros(self._size), np.zeros(0)
 
     def solve(self) -> float:
-        """Find shares and prices, return the length; raises `HilcellError` where there are none."""
+        """Optimise shares and prices, return the length; raises `HilcellError` where infeasible."""
         edges, count = self.edges, len(self.edges)
         ends = (edges.T.ravel(), np.tile(np.arange(count), 2))
         degree = csr_array((np.ones(2 * count), ends), shape=(self._size, count))
@@ -651,7 +647,7 @@ class _Program:
         self._cuts = [cut for cut, price in priced if price > self.PRICED] + cuts
 
     def proven(self) -> tuple[float, Ints]:
-        """Return the bound that the prices prove on all edges, and edges (E, 2) that lower it."""
+        """The bound that the prices prove on all edges, and edges (E, 2) that lower it."""
         sets, count = self._sets()
         price = np.repeat(self._cut_price, count)
         # An edge leaves a set that has one end of it: a + b - 2 a b for memberships a, b.

@@ -1,7 +1,7 @@
-"""Holes, corrected: for each station a list and a program, and a drilling sheet for all of them.
+"""Corrected holes: for each station a list and a program, and a drilling sheet for all of them.
 
-The sheet states which station, which program, which holes, under which conditions. It is one HTML
-file that opens offline, needs no script and prints on A4.
+The sheet gives stations, programs, holes and conditions: one HTML file, offline, without script,
+printable on A4.
 """
 
 from __future__ import annotations
@@ -71,9 +71,9 @@ STATIONS: tuple[Column[tuple[str, float, int, float | None, str, str]], ...] = (
 class StationJob:
     """The holes of one station: its plan, and its corrected targets of the tool's tip.
 
-    ``program`` are its files by name, ``sent`` the points (N, 6) of each kind in it: at the holes,
-    at the stand-offs, on the path to these. ``stroke`` states what a drill stroke adds at
-    most; between holes the tip is ``standoff_mm`` in front of the part.
+    ``program``: its files by name; ``sent``: the points (N, 6) of each kind in it (holes,
+    stand-offs, path to these); ``stroke``: the most that a drill stroke adds. Between holes the tip
+    is ``standoff_mm`` in front of the part.
     """
 
     plan: StationPlan
@@ -101,16 +101,16 @@ class StationJob:
 
     @property
     def named(self) -> str:
-        """Return what is chosen on the controller: the program, or the list where there is none."""
+        """Label of the choice on the controller: the program, or else the list."""
         return next((Path(name).stem for name in self.program), self.file)
 
     @property
     def largest_mm(self) -> float | None:
-        """Return the largest bound, None where none can be stated."""
+        """The largest bound, None where none can be stated."""
         return max(self.targets.bounds95_mm or [], default=None)
 
     def holes(self, *, bounds: bool, turns: bool) -> Table:
-        """Return its holes for the sheet, in order: nominal places in {W}, and what is known."""
+        """Table of its holes for the sheet, in order: nominal positions in {W}, and bounds."""
         nominal_mm, targets = self.plan.poses[:, :3], self.targets
         moved_mm = lengths_mm(targets.command[:, :3] - nominal_mm)
         columns: list[Column[int]] = [
@@ -126,7 +126,7 @@ class StationJob:
 
     @property
     def facts(self) -> dict[str, object]:
-        """Return its part of the summary; bounds are None where none can be stated."""
+        """Its part of the summary; bounds are None where none can be stated."""
         bounds_mm, bounds_deg = self.targets.bounds95_mm, self.targets.bounds_deg
         turned = {} if bounds_deg is None else {"bound95_max_deg": float(bounds_deg.max())}
         return {
@@ -148,10 +148,10 @@ class StationJob:
 
 @dataclass(frozen=True, eq=False)
 class StationJobs:
-    """The stations of a part in order of visit, ``source`` the file of its holes.
+    """The stations of a part in order of visit, ``source``: the file of its holes.
 
-    The holes are places of the ``tip`` of one tool, which keeps ``standoff_mm`` from the part;
-    ``twins`` are the warnings of holes that are listed twice.
+    The holes are positions of the ``tip`` of one tool, which keeps ``standoff_mm`` from the part;
+    ``twins``: warnings of holes listed twice.
     """
 
     cell: Cell
@@ -177,7 +177,6 @@ class StationJobs:
         say: Callable[[str], object],
     ) -> Self:
         """Plan holes where the calibration corrects, and correct them; ``say`` takes warnings.
-
         Raises `HilcellError` where a hole must not be drilled so.
         """
         released = UsableCalibration.named(calibration, release, cell)
@@ -200,7 +199,7 @@ class StationJobs:
         return replace(jobs, stations=[jobs._job(each) for each in whole.stations])
 
     def _job(self, plan: StationPlan) -> StationJob:
-        """Return a station's holes, corrected; raises `HilcellError` where one must not be."""
+        """A station's corrected holes; raises `HilcellError` where one must not be drilled."""
         cell, name, calibration = self.cell, plan.station.name, self.released.calibration
         nominal = as_listed(plan.poses)  # as `plan` states them, and `compensate` reads them
         exact = self.released.corrected(name, plan.holes, nominal, self.tip, cell)
@@ -256,7 +255,6 @@ class StationJobs:
 
     @property
     def standoff_remarks(self) -> list[str]:
-        """Return stand-off and side of the tip, and the depth of points."""
         off = f"stand-off {self.standoff_mm:g} mm along the outward normal"
         side = "assumed side: the part lies behind each hole, where z of the tool points"
         return [
@@ -267,7 +265,7 @@ class StationJobs:
 
     @property
     def unknown_drill(self) -> list[str]:
-        """Return a warning where holes are given for the reflector, so that no drill is known."""
+        """Warning where holes are given for the reflector, so that no drill is known."""
         if self.tip.table is not None:
             return []
         beyond = f"{NEAR_SHARE * self.standoff_mm:g} mm beyond the reflector"
@@ -308,7 +306,7 @@ class StationJobs:
         }
 
     def write(self, folder: Path, inputs: Iterable[Path]) -> list[str]:
-        """Write all into an empty folder; return what was done; raises `NotWritten`."""
+        """Write all into an empty folder; return messages; raises `NotWritten`."""
         jobs, released = self.stations, self.released
         files = [each for job in jobs for each in job.files.items()]
         counts = Counter(name.lower() for name, _ in files)  # controllers and PCs may ignore case
@@ -343,7 +341,7 @@ class StationJobs:
         ]
 
     def sheet(self) -> str:
-        """Return the drilling sheet; a bound is on it where every station states one."""
+        """The drilling sheet; with bounds where every station has one."""
         made = self.released.calibration.provenance
         count, places = sum(len(each.plan.holes) for each in self.stations), len(self.stations)
         bounds = [each.targets.bounds for each in self.stations]
@@ -447,7 +445,7 @@ class StationJobs:
 
     @property
     def _until(self) -> str:
-        """Return the last day of use; days beyond any calendar are no limit."""
+        """The last day of use; days beyond any calendar are no limit."""
         try:
             last = self._written + timedelta(days=self.released.release.max_age)
             return f"{last.astimezone():%Y-%m-%d}"
@@ -470,7 +468,6 @@ class StationJobs:
 
 
 def css_text(text: str) -> str:
-    """Return words as the inside of a CSS string: no character acts there."""
     return "".join(
         each if each.isascii() and each.isalnum() else f"\\{ord(each):06x}"
         for each in harmless(text)

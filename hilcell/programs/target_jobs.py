@@ -48,7 +48,7 @@ from hilcell.sanitize import counted
 
 @dataclass(frozen=True, eq=False)
 class TargetFiles:
-    """Corrected targets, to be written as the list or the ``program`` at ``source`` states them.
+    """Corrected targets, to be written in the form of the list or ``program`` at ``source``.
 
     ``positions`` (N, 3), or poses (N, 6), are those of the program, ``header`` and ``rows`` of the
     list; ``frame`` names their frame.
@@ -90,8 +90,8 @@ class TargetFiles:
 class StationTargets(TargetFiles):
     """Targets that a calibration corrects for one of its stations.
 
-    ``points`` are nominal and corrected ones, each (N, 3), in the frames in which they may be read
-    again; ``remarks`` say where targets and bounds hold.
+    ``points``: nominal and corrected ones, each (N, 3), in all frames in which they may be read
+    again; ``remarks``: where targets and bounds are valid.
     """
 
     released: UsableCalibration
@@ -112,10 +112,11 @@ class StationTargets(TargetFiles):
         strokes: tuple[float, float | None],
         say: Callable[[str], object],
     ) -> Self:
-        """Return the targets of a list or a program, corrected; ``say`` takes warnings.
+        """Corrected targets of a list or a program; ``say`` takes warnings.
 
-        A program's ``strokes`` lead and miss as far (mm); None is the 95 % bound of their point.
-        Raises `HilcellError` where the calibration must not be used, or a target not be corrected.
+        A program's ``strokes``: allowed length and error (mm); None is the 95 % bound of their
+        point. Raises `HilcellError` where the calibration must not be used, or a target not be
+        corrected.
         """
         released = UsableCalibration.named(calibration, release, cell)
         program = load_program(source)
@@ -178,7 +179,7 @@ class StationTargets(TargetFiles):
         }
 
     def write(self, out: Path, bounds: Path | None, inputs: Iterable[Path]) -> list[str]:
-        """Write all, keep the points; return what was done; raises `NotWritten`, `NoBound`."""
+        """Write all, store the points; return messages; raises `NotWritten`, `NoBound`."""
         read = [self.released.path, *inputs]
         written, notes = self.write_files(out, bounds, read)
         count, stamp = len(self.targets.names), self.targets.stamp
@@ -193,7 +194,7 @@ class StationTargets(TargetFiles):
 
     @staticmethod
     def _where(cell: Cell | None, tip: Tip) -> Iterator[str]:
-        """Yield where targets and bounds hold, where that is not the reflector's centre."""
+        """Yield where targets and bounds are valid, where that is not the reflector's centre."""
         if cell is None:
             yield f"{tip.scope}: no tool is known without --cell CELL"
         if tip.table is not None:
@@ -204,7 +205,6 @@ class StationTargets(TargetFiles):
 
     @staticmethod
     def _listed(source: Path, say: Callable[[str], object]) -> tuple[list[str], Array]:
-        """Read a list, which may be a program of an unknown format, and warn of twins."""
         from hilcell.programs.holes import Holes  # scipy's neighbours, which no program needs
 
         try:
@@ -223,7 +223,7 @@ class StationTargets(TargetFiles):
 
     @staticmethod
     def _tip(cell: Cell | None, name: str, program: Program | None, source: Path) -> Tip:
-        """Return the tip: of a program's tool, else the named; raises `SettingsError`."""
+        """Tip of a program's tool, else the named one; raises `SettingsError`."""
         if cell is None or program is None:
             return tip_named(cell, name)
         number = program.reflector_number(cell.robot.options)
@@ -277,16 +277,15 @@ class StationTargets(TargetFiles):
 
     @staticmethod
     def _taken_in(T: Array | None, values: Array) -> Array:
-        """Return targets (N, 6) of the frame ``T``; None leaves them, to the last digit."""
+        """Targets (N, 6) of the frame ``T``; None leaves them, to the last digit."""
         return values if T is None else zyx_from_pose(T @ poses_from_zyx(values))
 
     @staticmethod
     def _check_base(
         calibration: Calibration, station: str, stated: StatedBase | None, targets: Array
     ) -> None:
-        """Raise `HilcellError` where a base set by numbers is not {W}, at ``targets`` (N, 6).
-
-        A controller's base is relative to its own root, {B}: {W} is the inverse of T_W_B.
+        """Raise `HilcellError` where a base set by numbers is not {W}, at ``targets`` (N, 6). A
+        controller's base is relative to its own root, {B}: {W} is the inverse of T_W_B.
         """
         if stated is None:
             return
@@ -326,7 +325,7 @@ POSTURE_BITS = 7  # of a status: behind axis 1, elbow, wrist; the others are no 
 
 
 class StrokeError(HilcellError):
-    """Strokes over which the correction of the point before them does not hold."""
+    """Strokes over which the correction of the point before them is not valid."""
 
     code = "HC-C10"
 
@@ -344,7 +343,9 @@ def check_posture(status: int, stated: Sequence[tuple[str, int]]) -> None:
 
 
 class StrokeLimits(NamedTuple):
-    """How far strokes may lead, and each of N targets' may miss, by ``source``, in words."""
+    """Allowed length of strokes, and allowed error of each of N targets', by ``source``,
+    as text.
+    """
 
     longest_mm: float
     miss_mm: Array | float
@@ -354,7 +355,7 @@ class StrokeLimits(NamedTuple):
         self, paths: Sequence[Array], missed_mm: Sequence[Array], most_mm: Array,
         names: Sequence[str],
     ) -> StrokeMiss:  # fmt: skip
-        """Return the largest of all; raises `StrokeError` naming those over ``most_mm`` (N,)."""
+        """Largest error of all; raises `StrokeError` naming those over ``most_mm`` (N,)."""
         bad, worst = list[str](), StrokeMiss()
         for path, missed, most, name in zip(paths, missed_mm, most_mm.tolist(), names, strict=True):
             path_mm = path[-1] - path[0]
@@ -381,7 +382,7 @@ class StrokeLimits(NamedTuple):
 
 
 class StrokeMiss(NamedTuple):
-    """By how far strokes miss at worst: across (a hole's position) and along (its depth)."""
+    """Largest error of strokes: across (a hole's position) and along (its depth)."""
 
     across_mm: float = 0.0
     along_mm: float = 0.0
@@ -396,15 +397,14 @@ def check_strokes(
     limits: StrokeLimits,
     tip: Tip = AT_REFLECTOR,
 ) -> StrokeMiss:
-    """Return by how far strokes miss the line that their target's nominal pose states.
+    """Errors of strokes from the line of their target's nominal pose.
 
-    A stroke keeps the correction of the target before it, so it misses by the difference of the
-    error on its path from that at the target, and, where angles are corrected, by the rotation of
-    the stroke with them. The calibration's model is asked every `STEP_MM` of the path: the ripple
-    of gears passes within some millimetres, an end can be good by chance. ``targets`` (N, 6) are
-    nominal, ``command`` (N, 6) corrected, poses of the ``tip`` in {W}. Raises `StrokeError` naming
-    the strokes that lead too far, end outside of the calibrated volume, or miss by more than
-    ``limits``.
+    A stroke keeps the correction of the target before it, so it errs by the difference of the error
+    on its path from that at the target, and, where angles are corrected, by the rotation of the
+    stroke with them. The model is evaluated every `STEP_MM`: the ripple of gears passes within some
+    millimetres, an end can be good by chance. ``targets`` (N, 6) are nominal, ``command`` (N, 6)
+    corrected, poses of the ``tip`` in {W}. Raises `StrokeError` naming the strokes that are too
+    long, end outside of the calibrated volume, or exceed ``limits``.
     """
     if not strokes:
         return StrokeMiss()
@@ -433,7 +433,7 @@ def check_strokes(
 
 
 def _places(stroke: Stroke) -> Array:
-    """Return places (K, 3) of a stroke, relative to its target, in {W}, `STEP_MM` apart."""
+    """Positions (K, 3) of a stroke, relative to its target, in {W}, `STEP_MM` apart."""
     length_mm = float(np.linalg.norm(np.subtract(stroke.shift_mm, stroke.from_mm)))
     return np.linspace(stroke.from_mm, stroke.shift_mm, max(2, ceil(length_mm / STEP_MM) + 1))
 
@@ -446,7 +446,7 @@ def _missed(
     paths: Sequence[Array],
     tip: Tip,
 ) -> list[Array]:
-    """Return the misses in {W} of places of ``paths`` (K, 3) from nominal ``starts`` (N, 6)."""
+    """Errors in {W} of positions of ``paths`` (K, 3) from nominal ``starts`` (N, 6)."""
     counts = [len(each) for each in paths]
     places = np.repeat(starts, counts, axis=0)
     places[:, :3] += np.concatenate(paths)
