@@ -59,7 +59,6 @@ class Device:
 
     @property
     def refused(self) -> Errors[DeviceRefused]:
-        """Errors of a device that is refused."""
         return Errors(DeviceRefused, self.name, self.fields)
 
     @property
@@ -68,7 +67,6 @@ class Device:
         return Errors(NoReading, self.name, self.fields)
 
     def at(self, **fields: object) -> Device:
-        """Return it with the values of a poll for its errors."""
         return replace(self, fields=fields)
 
     def unreached(self, address: str, found: str) -> DeviceError:

@@ -61,7 +61,6 @@ class Windows:
 
     @property
     def polls(self) -> int:
-        """The number of polls that cover a dwell."""
         return max(READINGS, math.ceil(self.dwell_s / self.interval_s) + 1)
 
 
@@ -122,7 +121,6 @@ class Standstill:
 
     @property
     def seems_still(self) -> bool:
-        """Whether the speed of the newest poll lies within its window."""
         return bool(self._still)
 
     @property
@@ -256,7 +254,6 @@ class SlideMonitor(Generic[P]):
         )
 
     def _alarms(self, now: P) -> int:
-        """Return the strip's alarms in the polls of a reading."""
         return now.alarms if self.rest is None else self.rest.alarms
 
     def _not_at_rest(self, now: P, limit_s: float) -> DeviceError:

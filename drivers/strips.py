@@ -113,7 +113,6 @@ class SerialStrip:
         return counts, int(self._ask("X", r"0x[0-9a-fA-F]{2}"), 16)
 
     def alarm_text(self, alarms: int) -> str:
-        """Return the text of the bits of the system register."""
         bits = [bit for bit in range(16) if alarms >> bit & 1]
         return "; ".join(self.BITS.get(bit, f"bit {bit} of its register") for bit in bits)
 
@@ -177,7 +176,6 @@ class StripNode(Node):
         self._has_alarms = True  # it has alarms of its own
 
     def identify(self, address: str) -> Identity:
-        """Wait for the sensor and compare it, and its step, with the cell file."""
         identity = super().identify(address)
         self._check_step()
         return identity
@@ -253,7 +251,6 @@ class CanopenStrip:
         self._statistics = LinkStatistics()
 
     def connect(self) -> Identity:
-        """Open the bus, verify the sensor, and have it send its counts on SYNC."""
         self._statistics = LinkStatistics()
         options = self._options
         bus = open_bus(options.interface, options.channel, options.bitrate)
@@ -262,7 +259,6 @@ class CanopenStrip:
             return self._set_up(self._link)
 
     def read(self, check: Callable[[], None]) -> tuple[int, int]:
-        """Return counts and alarms of a SYNC that is sent now."""
         node, inbox = STRIP.connected(self._set)
 
         def look() -> None:

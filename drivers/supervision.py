@@ -74,7 +74,6 @@ class Watchdog:
 
     @property
     def active(self) -> bool:
-        """Whether something moves."""
         return self._fed_s is not None
 
     def start(self) -> None:
@@ -183,7 +182,6 @@ class MotionLimits:
         )
 
     def time_error(self, where: str, expected: str, axes_deg: Array) -> DeviceError:
-        """Return the error of a motion that takes far longer than was planned."""
         return ROBOT.failed(
             "HC-B29",
             "move",

@@ -36,7 +36,6 @@ def check_serial(serial: str, expected: str) -> None:
 
 
 def leica_identity(name: str, besides: str, serial: str, address: str, firmware: str) -> Identity:
-    """Return the identity of a tracker by its name, which may bear the maker's already."""
     maker, simulated = "Leica", is_simulated_name(name)
     model = name if name.casefold().startswith("leica") else f"{maker} {name}".strip()
     model += besides
@@ -79,7 +78,6 @@ def readback_error(
 
 
 def changed(setting: str, found: str, kept: str, act: str = "") -> DeviceError:
-    """Return the error of a setting that is another one than before."""
     operation = f"read {setting} again"
     return TRACKER.failed("HC-T06", operation, found, expected=kept, act=act, setting=setting)
 
@@ -93,7 +91,6 @@ def matching_form(near_mm: Array, limit_mm: float, forms: Mapping[str, Array]) -
 
 
 def off_target(off_mm: float, radius_mm: float, operation: str = "measure") -> NoReading:
-    """Return the error of a result that is too far from the expected place."""
     return TRACKER.no_reading(
         "HC-T16",
         operation,

@@ -186,7 +186,6 @@ class Faults:
             self._armed[name] = fault
 
     def clear(self, name: str = "") -> None:
-        """Disarm one fault, or all."""
         with self._lock:
             for each in [name] if name else [*self._armed]:
                 self._armed.pop(each, None)

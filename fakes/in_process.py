@@ -268,7 +268,6 @@ class DirectStream:
         self._looked_s.append(self._truth.time.now_s())
 
     def collect(self) -> list[StreamBlock]:
-        """Note the time of this poll."""
         self._looked_s.append(self._truth.time.now_s())
         return []
 

@@ -55,7 +55,6 @@ class StripSensor:
             self.position = round(at_mm * self.COUNTS_PER_MM) + self._jitter
 
     def apply_faults(self) -> None:
-        """Apply the faults of one reading."""
         self._jump_mm += self._faults.number("rail.strip_jump") or 0.0
         self._frozen = self._faults.take("rail.strip_frozen") is not None
         jitter = int(self._faults.number("rail.strip_jitter") or 0)
@@ -140,7 +139,6 @@ class RailStrip(CanopenSlave):
         self._sensor.observe(slide)
 
     def apply_faults(self) -> None:
-        """Apply the faults of one SYNC."""
         self._sensor.apply_faults()
         before, self._alarms = self._alarms, self.POSITION_ERROR * self._sensor.missing
         encoder_fault = 0x7305

@@ -173,7 +173,6 @@ class T2saDevice:
         return Answer(after_s=self.POINT_S + search_s + self.READ_S, finish=finish)
 
     def _nearest(self, aim_mm: Array) -> tuple[float, str | None]:
-        """Return the nearest reflector's distance from the line of sight, and its name."""
         along = aim_mm / np.linalg.norm(aim_mm)
         inside: list[tuple[float, float, Array]] = []
         for at_mm in self._instrument.reflectors().values():
@@ -254,7 +253,6 @@ def target_fan(cell: Cell) -> dict[str, Array]:
 
 
 def write(path: Path, points: dict[str, Array]) -> None:
-    """Write the list for the cell file."""
     with path.open("w", encoding="ascii", newline="") as file:
         csv.writer(file).writerows([name, *map(str, at_mm)] for name, at_mm in points.items())
 
@@ -339,7 +337,6 @@ class T2saServer(Server):
     def _measure(
         self, session: LineSession, duration_s: float, finish: Callable[[], Answer]
     ) -> None:
-        """Reply after cell time, or to the halt that has come meanwhile."""
         try:
             halted_by_this = self._let_pass(session, duration_s)
             halted = self._halted.is_set()
@@ -364,7 +361,6 @@ class T2saServer(Server):
         return False
 
     def _reply(self, session: LineSession, answer: Answer) -> None:
-        """Send a reply, with the faults of the wire."""
         reply = answer.line.encode("ascii")
         if not answer.measured:
             session.say_late()

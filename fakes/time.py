@@ -63,7 +63,6 @@ class CellTime:
         self._followers: tuple[Callable[[], None], ...] = ()
 
     def now_s(self) -> float:
-        """Return simulated seconds since power-on."""
         if self.stepped:
             return self._stepped_s
         return (time.monotonic() - self._start_s) * self.speed
@@ -138,7 +137,6 @@ class WatchdogTimer:
             self._changed.notify()
 
     def set_ms(self, value_ms: int) -> None:
-        """Set the value of a running or stopped timer."""
         with self._changed:
             self._zero_s = self._time.now_s() - value_ms / 1000.0
 
@@ -149,7 +147,6 @@ class WatchdogTimer:
 
     @property
     def expired(self) -> bool:
-        """Whether it runs and has reached zero."""
         with self._changed:
             return self._running and self._time.now_s() >= self._zero_s
 

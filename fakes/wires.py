@@ -327,7 +327,6 @@ class LineSession:
             self.say(line)
 
     def say_late(self) -> None:
-        """Send the late lines."""
         for late in self.late:
             self.say(late)
         self.late.clear()

@@ -107,7 +107,6 @@ class AxisSweeps:
         )
 
     def perform(self, session: CellSession) -> None:
-        """Sweep, and journal each axis's curve once."""
         cell = session.cell
         if reason := left_out(cell):
             session.add(AxesNotSwept(reason=reason))
@@ -169,7 +168,6 @@ class AxisSweeps:
                 return
 
     def result(self, log: Log) -> Result:
-        """Return the figures of each axis, or why none was swept."""
         reasons = ["", *(each.reason for each in log.happened(AxesNotSwept))]
         axes = [self._reported(record) for record in log.curves.values()]
         return {"sweeps": Sweeps(left_out=reasons[-1], axes=axes)}

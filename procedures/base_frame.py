@@ -63,7 +63,6 @@ class BaseFrame:
         )
 
     def perform(self, session: CellSession) -> None:
-        """Sweep, fit and frame, once."""
         if "base" not in session.log.frames:
             self._construct(session)
             suspicion = misplaced_base(session.log) or risen_nest(session.log)

@@ -28,7 +28,6 @@ from procedures.world_frame import Home, TwoFaces, WorldFrame
 
 
 def validation_table(result: Result) -> Table:
-    """Return the errors before and after by station, as in the paper."""
     places, method = typed(result["validation"], dict[str, Place]), str(result["method"])
     rows = list[tuple[Value, ...]]()
     for where, place in places.items():
@@ -60,7 +59,6 @@ def validation_table(result: Result) -> Table:
 
 
 def words(result: Result) -> str:
-    """Return a summary of the tool's orientation error and the suspicions."""
     lines = []
     for where, place in list(typed(result.get("validation", {}), dict[str, Place]).items())[:1]:
         before, after = place.before.orientation, place.chosen.orientation

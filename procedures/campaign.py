@@ -76,7 +76,6 @@ class Campaign:
             session.pose_points(rows.joints_rad[at[0]], targets)
 
     def result(self, log: Log) -> Result:
-        """Return the cross-validated fit of the measured points."""
         return {"campaign": fit_robot(robot_of(log.cell), measured(log)).result}
 
 
@@ -90,7 +89,6 @@ def campaign_poses(cell: Cell) -> Measurements:
 
 
 def visits_of(rows: Measurements) -> list[tuple[str, list[int]]]:
-    """Return the poses in order, each with its row numbers."""
     visits = groupby(range(len(rows)), key=lambda row: rows.pose[row])
     return [(pose, list(numbers)) for pose, numbers in visits]
 
@@ -101,7 +99,6 @@ def robot_of(cell: Cell) -> Robot:
 
 
 def measured(log: Log) -> Measurements:
-    """Return the campaign's points as measured targets, with the joints as commanded."""
     points = [*log.measured("campaign")]
     joints_deg = np.array([point.commanded_deg for point in points])
     return Measurements(

@@ -71,7 +71,6 @@ class GuardedRail:
         """Do nothing: the run has referenced the drive."""
 
     def move_to(self, position_mm: float) -> None:
-        """Move after the operator's confirmation."""
         cell, now_mm = self._session.cell, self.read().position_mm
         _confirm(
             self._session,
@@ -200,7 +199,6 @@ class Conformance:
         return PlannedStep(self.name, 0, len(self._ports(cell)) * trial_s)
 
     def perform(self, session: CellSession) -> None:
-        """Journal what each promise has found, then a verdict on each driver."""
         for port in self._ports(session.cell):
             if session.cell.simulation is None:
                 bench = GuardedBench(session, port)
@@ -226,7 +224,6 @@ class Conformance:
             session.judge(key, DriverConforms(holds=not broken, driver=driver, broken=broken))
 
     def result(self, log: Log) -> Result:
-        """Return what each promise has found, by port."""
         return {NAME: {port: self._found(log, port) for port in self._ports(log.cell)}}
 
     @staticmethod

@@ -67,20 +67,17 @@ class Fit:
         return PlannedStep(self.name, 0, 0.0)
 
     def perform(self, session: CellSession) -> None:
-        """Journal the choice after all waiting points are re-measured."""
         session.retake_waiting()
         if session.log.verdict(Fitted) is None:
             session.judge("fit", fitted(session.log))
         session.reach("fit")
 
     def result(self, log: Log) -> Result:
-        """Return the method, its cross-validation and the reasons."""
         found = fitted(log)
         return {"method": found.method, "fit": typed(found, Choice, from_attributes=True)}
 
 
 def fitted(log: Log) -> Fitted:
-    """Return the choice of the error model from the measured points."""
     measured = measured_errors(log)
     choice = chosen(measured, reoriented=log.cell.plan.turns)
     model, orientation = choice.model, ""
@@ -101,7 +98,6 @@ def fitted(log: Log) -> Fitted:
 
 
 def orients(log: Log) -> bool:
-    """Whether the chosen correction includes the tool's orientation."""
     return _orients(log.cell, log.method, measured_errors(log))
 
 
@@ -143,7 +139,6 @@ class SignCheck:
         return PlannedStep.of_spans(self.name, len(SIGN_IDS), [*back, both, *plan.closing(cell)])
 
     def perform(self, session: CellSession) -> None:
-        """Send both, measure, and journal the verdict."""
         if "sign" in session.log.verdicts:
             return
         station = session.cell.reference

@@ -102,7 +102,6 @@ class PoseCycle:
         )
 
     def perform(self, session: CellSession) -> None:
-        """Measure every visit, verify the tracker, judge the given limits."""
         station = session.cell.reference
         joints_rad = commands_rad(session.cell, calibration_in(session.log) is not None)
         at_mm = np.array([commanded_mm(session.cell)[name] for name in CYCLE])
@@ -153,7 +152,6 @@ COLUMNS: tuple[Column[tuple[str, Pose]], ...] = (
 
 
 def pose_words(result: Result) -> str:
-    """Return the worst poses, the distance, and the departures from the standard."""
     found = typed(result[ISO], PoseTest)
     worst, distance = found.worst, found.distance
     tested = f"with the correction of {found.corrected_by}" if found.corrected_by else "as it is"

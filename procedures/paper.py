@@ -112,20 +112,16 @@ class Compared:
     result: Experiments
 
     def place(self, where: Where) -> Place:
-        """Return the validation at the grid's station, or that of all others together."""
         own = self.log.cell.grid.station
         return self.result.validation[own if where == "reference" else where]
 
     def mean(self, where: Where, how: Sent) -> float:
-        """Return the mean error of one series of targets."""
         return self.place(where).sent[how].mean
 
     def largest(self, how: Sent) -> float:
-        """Return the largest error of one series of targets at the grid's station."""
         return self.place("reference").sent[how].max
 
     def reduction(self, where: Where, how: Sent = Sent.IDW) -> float:
-        """Return by which share a correction, the paper's or another, lowers the mean error."""
         return share_removed(self.mean(where, Sent.BEFORE), self.mean(where, how))
 
     def jacobian_error(self) -> float:
@@ -216,7 +212,6 @@ class Compared:
         return rms(lengths_mm(positions_mm(again) - positions_mm(first)))
 
     def stations_planned(self) -> float:
-        """Return how many stations the planner takes for the longest work piece."""
         from hilcell.programs.plan import plan  # loads long, and few runs judge the paper
 
         return float(len(plan(self.log.cell, self._longest_work_piece(self.log.cell)).stations))
@@ -443,7 +438,6 @@ def criterion(low: float, high: float) -> str:
 
 
 def by_cell(name: str, paper: float, here: Figure) -> Row:
-    """Return a row whose count is in the cell file."""
     return Row(name, paper, "", here, (paper, paper), set_by="cell file")
 
 

@@ -48,7 +48,6 @@ class PaperFigures:
         return self._targets(series, paper)
 
     def other_targets(self) -> Drawn | None:
-        """Draw the errors at the other stations, target by target, with transferred data."""
         facts = self.facts
         stations = places(facts.cell).get(OTHERS) or list(places(facts.cell))[1:]
         series = validation(facts.log, stations)
@@ -75,7 +74,6 @@ class PaperFigures:
         return figure, "Dashed lines: means. " + caption
 
     def similarity(self) -> Drawn | None:
-        """Draw the difference of errors over joint and Cartesian distance, of pairs of vertices."""
         facts = self.facts
         known = facts.log.frames.keys() | facts.log.verdicts.keys()
         if not {"base", "fit"} <= known:

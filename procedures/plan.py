@@ -22,7 +22,6 @@ from hilcell.run.collision import below, check_poses, clear_poses, leaves_cube
 
 
 def other_stations(cell: Cell) -> list[Station]:
-    """Return the stations but the grid's, in the order in which they are visited."""
     return [station for station in cell.station if station.name != cell.grid.station]
 
 
@@ -118,7 +117,6 @@ def floor_nest_points(cell: Cell) -> Span:
 
 
 def _tracker_check(cell: Cell) -> Span:
-    """Return the span of the floor nests that verify the tracker."""
     return readings(cell, len(cell.layout.floor), cell.verification_samples)
 
 

@@ -236,7 +236,6 @@ class StationRepeatability:
         )
 
     def perform(self, session: CellSession) -> None:
-        """Approach, measure, go away, come back."""
         repeats = session.cell.survey.repeats
         ways = {"one_side": [-1] * repeats, "random": random_sides(session.seed, repeats)}
         for how in METHODS:
@@ -278,7 +277,6 @@ def random_sides(seed: int, repeats: int) -> list[int]:
 
 
 def approaches(log: Log, how: str, way: str) -> Approaches:
-    """Return the figures of one kind of approach."""
     points = log.select("repeat", how=how, direction=way)
     points_mm, R = positions_mm(points), log.matrix("world")[:3, :3]
     along_mm = points_mm @ R.T @ np.array(log.cell.layout.rail_direction)

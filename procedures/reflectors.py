@@ -32,7 +32,6 @@ class Reflectors:
     yields = "which reflector's ball or prism differs from the others'"
 
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
-        """Refuse a cell of one reflector."""
         if cell.layout.by_hand:
             raise HilcellError(
                 "the cell has one reflector, which is carried by hand (layout.reflectors): there "
@@ -43,7 +42,6 @@ class Reflectors:
         return PlannedStep.of_spans(self.name, 0, [measured, *closing(cell)])
 
     def perform(self, session: CellSession) -> None:
-        """Request each reflector in the nest, measure it, and judge them all."""
         cell, nest = session.cell, session.cell.layout.floor[0]
         for place in self._places_of(cell):
             session.swapped_point(PointId(REFLECTOR, nest=place), place, nest)

@@ -167,7 +167,6 @@ class ChosenPoses:
         return PlannedStep.of_spans(self.name, points, [measured, *plan.closing(cell)])
 
     def perform(self, session: CellSession) -> None:
-        """Choose once, then measure."""
         if not any(session.cell.plan.pose_counts):
             return
         known = [*session.log.happened(PosesChosen)]

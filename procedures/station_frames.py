@@ -91,7 +91,6 @@ class StationFrames:
         return [cell.reference] if later else plan.stations_in_order(cell)
 
     def result(self, log: Log) -> Result:
-        """Return frame, strip reading and predicted tool-point uncertainty per station."""
         names = [station.name for station in log.cell.station]
         frames = {name: log.frame(MeasuredStation, f"station.{name}") for name in names}
         return {
@@ -103,19 +102,16 @@ class StationFrames:
 
 
 def nest_points(cell: Cell) -> int:
-    """Return how many points frame a station."""
     return len(cell.layout.slide) + (0 if cell.plan.quick else FEW)
 
 
 def frame_spans(cell: Cell, here: Station, there: Station) -> list[Span]:
-    """Return the spans of going to a station and framing it."""
     nests = plan.readings(cell, len(cell.layout.slide), cell.nest_samples)
     few = [] if cell.plan.quick else [plan.readings(cell, FEW, THREE_SAMPLES)]
     return [*plan.leg(cell, here, there), nests, *few, *plan.closing(cell, carried=True)]
 
 
 def frame_station(session: CellSession, station: Station) -> None:
-    """Measure the slide's nests at a station and journal its frames, once."""
     if f"station.{station.name}" in session.log.frames:
         return
     cell = session.cell
@@ -185,7 +181,6 @@ def slide_id(station: Station, nest: Nest) -> PointId:
 
 
 def slide_points(log: Log, station: Station) -> list[Point]:
-    """Return the points of the slide nests at a station, in the order of the nests."""
     return [log.point(slide_id(station, nest)) for nest in log.cell.layout.slide]
 
 

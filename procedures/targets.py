@@ -62,7 +62,6 @@ class TargetPass:
         )
 
     def perform(self, session: CellSession) -> None:
-        """Journal calibration and targets, measure, judge."""
         cell, calibration = session.cell, adopt_calibration(session, TABLE)
         if listed(session.log) is None:
             names, values = targets_of(cell)

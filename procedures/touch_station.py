@@ -77,7 +77,6 @@ def touch_spans(cell: Cell, station: Station) -> list[Span]:
 
 
 def touch_once(session: CellSession, station: Station, model: ErrorModel) -> None:
-    """Touch the base once on this visit of the station."""
     if not session.cell.touch.poses:
         return
     session.retake_waiting()
@@ -166,7 +165,6 @@ def check_agreement(
 
 
 def touches(log: Log) -> dict[str, TouchFound]:
-    """Return the results of touch poses by station."""
     return {
         station.name: typed(log.frames[key], TouchFound, from_attributes=True)
         for station in log.cell.station
@@ -207,7 +205,6 @@ class TouchStation:
         return PlannedStep.of_spans(self.name, touch[0].measured, spans)
 
     def perform(self, session: CellSession) -> None:
-        """Adopt the calibration's frames, touch, and journal the verdict."""
         calibration, station = adopt_calibration(session, TABLE), station_of(session.cell)
         reference = session.cell.reference
         for each in (reference, station):
@@ -222,7 +219,6 @@ class TouchStation:
             session.judge("touch", Touched(holds=True, station=station.name))
 
     def result(self, log: Log) -> Result:
-        """Return the result of the touch poses, the station and the calibration used."""
         found = touches(log)
         if not found:
             return {}
@@ -262,7 +258,6 @@ def touch_table(result: Result) -> Table:
 
 
 def touch_words(result: Result) -> str:
-    """Return the use and validity of the run's calibration."""
     if "touched" not in result:
         return ""
     found = typed(result["touched"], Touching)

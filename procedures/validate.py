@@ -96,7 +96,6 @@ class Validate:
         return dataclasses.replace(found, warning=class_warning(cell, min(ranges_mm)))
 
     def perform(self, session: CellSession) -> None:
-        """Validate at the grid's station, then at the others with transferred data."""
         cell, measured = session.cell, measured_errors(session.log)
         paper = Idw.learn(measured)
         chosen = MODELS[session.log.method].learn(measured)
@@ -177,7 +176,6 @@ class Validate:
             session.judge("orientation", found)
 
     def result(self, log: Log) -> Result:
-        """Return the errors at the grid's station and at the others together, and their bounds."""
         places, touched = judged_places(log.cell), touches(log)
         found = {where: self._place_of(log, where, stations) for where, stations in places.items()}
         for where, bounds in self._bounds(log, places).items():

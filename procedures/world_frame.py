@@ -45,7 +45,6 @@ class Home(Step):
         session.reach("reference")
 
     def home_rail(self, session: CellSession) -> None:
-        """Bring the robot to its safe pose and the slide to its reference."""
         session.home_rail()
 
 
@@ -84,7 +83,6 @@ class WorldFrame:
         return PlannedStep.of_spans(self.name, len(cell.layout.floor), spans)
 
     def perform(self, session: CellSession) -> None:
-        """Measure the nests and build the frame, or check the frame that the journal holds."""
         session.frame_world()
         self._check_lengths(session)
         if self.verifies and not session.cell.layout.by_hand:
@@ -92,7 +90,6 @@ class WorldFrame:
         session.reach("frame_world")
 
     def result(self, log: Log) -> Result:
-        """Return the tracker's set-ups and the measured certified lengths, if any."""
         moved, checked = log.set_ups.number, log.verdict(LengthsChecked)
         set_ups = [log.matrix(world_key(number)).tolist() for number in range(moved + 1)]
         tracker = SetUps(T_W_L=set_ups[-1], moved=moved, set_ups=set_ups)
@@ -163,7 +160,6 @@ class TwoFaces:
         return cell.layout.floor if self._number else cell.layout.fixed_nests
 
     def result(self, log: Log) -> Result:
-        """Return the comparison of both faces, if any."""
         found = two_faces(log, self._number)
         key = self._verdict.replace("-", "_").replace(".", "_")
         return {} if found is None else {key: found}

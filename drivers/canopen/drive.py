@@ -354,7 +354,6 @@ class Drive:
         return inputs is None or inputs & cia.LIMIT_SWITCHES != 0
 
     def _at(self, now: Snapshot) -> Device:
-        """Return the rail with the values of a poll, for its errors."""
         scale = self._limits.counts_per_mm
         return RAIL.at(
             position_mm=now.position / scale,

@@ -41,7 +41,6 @@ class Limits:
     windows: Windows  # at rest
 
     def mm(self, counts: float) -> str:
-        """Return the text of a position, or of a speed per second."""
         return f"{counts / self.counts_per_mm:.3f} mm"
 
     def travel_s(self, distance: float) -> float:
@@ -51,7 +50,6 @@ class Limits:
 
     @property
     def ramp_s(self) -> float:
-        """Return how long the slide takes from full speed to rest."""
         return self.speed / self.acceleration
 
 
@@ -127,7 +125,6 @@ class Speeds:
 
     @property
     def factor(self) -> float:
-        """The ratio of the speed by positions to that by the drive."""
         return self.by_positions / self.by_drive if self.by_drive else np.inf
 
 

@@ -190,7 +190,6 @@ class Node(NodeMonitor):
         self.command(NodeCommand.ENTER_PRE_OPERATIONAL)
 
     def command(self, command: NodeCommand) -> None:
-        """Send an NMT command to the node alone."""
         self._link.send(NMT, bytes((command, self.number)))
 
     def set_heartbeat(self, bitrate: int) -> None:

@@ -135,7 +135,6 @@ class Inbox:
             link.subscribe(cob_id, self._on_pdo)
 
     def expect(self, pdo: Pdo) -> None:
-        """Replace a PDO of this inbox by the one that is mapped in this device."""
         self._pdos[pdo.cob_id] = pdo
 
     def refresh(self, check: Callable[[], None]) -> tuple[dict[int, tuple[int, ...]], float]:
@@ -274,7 +273,6 @@ class ProcessImage:
         self.command.configure(sdo)
 
     def refresh(self, check: Callable[[], None]) -> Snapshot:
-        """Return the values of drive and strip at a SYNC sent now."""
         values, taken_s = self.inbox.refresh(check)
         statusword, position = values[self.status.cob_id]
         velocity, mode, *_ = *values[self.motion.cob_id], NO_MODE
@@ -329,7 +327,6 @@ class ProcessImage:
 
     @property
     def stopped(self) -> bool:
-        """Whether a quick stop was sent."""
         return self._stopped
 
     def _send(self, controlword: int) -> None:

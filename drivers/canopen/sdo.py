@@ -299,7 +299,6 @@ def _name(index: int, sub: int) -> str:
 
 
 def open_channel(link: CanLink, node: int, eds: str, check: Callable[[], None]) -> SdoChannel:
-    """Return the channel to a node of a link, typed by one of the EDS files beside the drivers."""
     remote = RemoteNode(node, _objects(eds, node))
     channel = SdoChannel(node, remote, link, check)
     link.network.add_node(remote)

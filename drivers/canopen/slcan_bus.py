@@ -118,7 +118,6 @@ class SlcanBus(can.BusABC):
         return None, False
 
     def _lines(self, timeout_s: float) -> Iterator[tuple[bytes, bytes]]:
-        """Yield the lines that come within a time, and their ends."""
         deadline_s = time.monotonic() + timeout_s
         while True:
             while (found := self._line()) is not None:
@@ -201,7 +200,6 @@ class SlcanBus(can.BusABC):
                 self._push()
 
     def _push(self) -> None:
-        """Hand the port as many bytes as it takes at once."""
         try:
             taken = os.write(self._port, self._unsent) if self._unsent else 0
         except BlockingIOError:
@@ -231,7 +229,6 @@ def has_long_stamp(line: bytes) -> bool:
 
 
 def _carried(match: re.Match[bytes]) -> int:
-    """Return the digits of a frame's data."""
     return 0 if (match[1] or match[3]) in b"rR" else 2 * int(match[5])
 
 

@@ -175,7 +175,6 @@ class Controller(Protocol):
             )
 
     def has_slide(self) -> bool:
-        """Whether the controller has an external axis."""
         return self.has("$EX_AX_NUM") and self.integer("$EX_AX_NUM") > 0
 
     def is_mastered(self) -> bool:
@@ -187,14 +186,12 @@ class Controller(Protocol):
         self._keeper.check()
 
     def close(self) -> None:
-        """Close the wires."""
         self._keeper.close()
         for line in (self._line, self._stop_line):
             line.close()
 
 
 def value_error(name: str, found: object) -> DeviceError:
-    """Return the error of an invalid value."""
     return ROBOT.failed("HC-B26", f"read {name}", str(found), variable=name)
 
 
@@ -231,7 +228,6 @@ HEALTH: dict[str, tuple[tuple[str | bool, ...], str]] = {
 
 
 def refused_motion(error: int) -> DeviceError:
-    """Return the error for HC_ERR of a motion."""
     text, code = ERRORS.get(error, ("unknown", "HC-B20"))
     found, act = f"HC_ERR {error}: {text}", "read the panel, then resume"
     return ROBOT.failed(code, "move", found, act=act, error=error)

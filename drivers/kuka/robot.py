@@ -563,7 +563,6 @@ class KukaSweep:
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        """Brake a motion in progress and restore the override."""
         self._restore(error)
 
     def kickoff(self) -> None:

@@ -90,7 +90,6 @@ class C3Connection(ControllerLink):
         return self._exchange("read", name).value
 
     def has(self, name: str) -> bool:
-        """Whether the controller lets a variable be read."""
         return self._reply("read", name).ok
 
     def write(self, name: str, value: str) -> None:
@@ -228,7 +227,6 @@ class C3Controller(Controller):
         self._line.write("HC_SEQ", str(number))
 
     def heartbeat(self) -> None:
-        """Set the timer back, if that is due."""
         if time.monotonic() >= self._due_s:
             self._due_s = time.monotonic() + self.HEARTBEAT_S
             self._line.write(self.TIMER, str(round(-HEARTBEAT_TIMEOUT_S * 1000)))
@@ -266,7 +264,6 @@ class C3Controller(Controller):
 
     @contextmanager
     def ignoring_stop(self) -> Iterator[C3Controller]:
-        """Open a connection for a while."""
         other, line = copy(self), self._open(ignore_stop)
         other._line = line  # noqa: SLF001 # of its own class
         try:
@@ -275,7 +272,6 @@ class C3Controller(Controller):
             line.close()
 
     def stop(self) -> None:
-        """Write the stop over its own connection."""
         self._stop_line.write_without_reply("HC_STOP", "TRUE")
 
 

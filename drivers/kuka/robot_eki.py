@@ -357,7 +357,6 @@ class EkiController(Controller):
         self._life_ms = self.LIFE_MS
 
     def brake(self) -> None:
-        """Send a stop over the channel of commands."""
         self._send(Kind.BRAKE)
 
     def end_brake(self) -> None:
@@ -381,7 +380,6 @@ class EkiController(Controller):
             self._line.check_wait = check
 
     def stop(self) -> None:
-        """Send the stop over its own channel."""
         self._stop_line.send_without_reply(stop_command(1, brake=True))
 
     def _known(self) -> State:

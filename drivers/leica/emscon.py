@@ -119,7 +119,6 @@ def command_name(command: int) -> str:
 
 
 def failed(command: int, status: int) -> DeviceError:
-    """Return the error of a command that is refused."""
     known = STATUS.get(status, UNKNOWN)
     error = TRACKER.no_reading if known.recoverable else TRACKER.failed
     return error(known.alarm, command_name(command), status_text(status), status=status)
@@ -277,7 +276,6 @@ def status_text(status: int) -> str:
 
 
 def air_problem(temperature_c: float, pressure_mbar: float, humidity_percent: float) -> str:
-    """Return why the air's values are impossible, or nothing."""
     if temperature_c == humidity_percent == 0.0:
         return "temperature 0 C and humidity 0 %: the probe does not measure"
     limits = (

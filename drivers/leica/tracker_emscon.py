@@ -356,7 +356,6 @@ class LeicaEmsconTracker:
         return reply.body
 
     def _request(self, command: int, body: bytes = b"", limit_s: float = 0.0) -> Reply:
-        """Send a command, again while the server is busy, and return its reply."""
         limit_s = limit_s or self.REPLY_S
 
         def ask() -> Reply:
@@ -453,7 +452,6 @@ class EmsconStream:
         self._running = False
 
     def __enter__(self) -> Self:
-        """Catch the reflector and set the mode."""
         self._tracker.point_at(self._near_mm, self._reflector)
         settings = self._tracker.settings
         try:

@@ -109,7 +109,6 @@ def read_points(path: Path) -> NamedPoints:
 
 
 def written(points: NamedPoints) -> str:
-    """Return the list as CSV."""
     rows = zip(points.names, points.xyz_mm, strict=True)
     return "".join(f"{name},{x:.3f},{y:.3f},{z:.3f}\n" for name, (x, y, z) in rows)
 
@@ -176,7 +175,6 @@ def _directions(pitch_rad: float) -> Array:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Write the list of a cell file."""
     parser = argparse.ArgumentParser(prog="python -m drivers.spatialanalyzer.t2sa_points")
     parser.add_argument("cell", help="a cell file, or the name of a built-in cell")
     parser.add_argument("file", type=Path, help="the CSV to write")

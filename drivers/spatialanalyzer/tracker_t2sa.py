@@ -83,7 +83,6 @@ class Reply(NamedTuple):
 
     @property
     def is_result(self) -> bool:
-        """Whether it answers a measurement, or a question for a position."""
         return self.accepted and re.search(r"\bresult\b", self.text) is not None
 
     @property
@@ -93,7 +92,6 @@ class Reply(NamedTuple):
 
     @property
     def is_laser(self) -> bool:
-        """Whether it states the laser."""
         return self.accepted and re.search(r"\b(?:LON|LOFF|LNC|WARM)\b", self.text) is not None
 
     @property

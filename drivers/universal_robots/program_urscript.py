@@ -160,7 +160,6 @@ class Program(programs.Program):
 
     @property
     def names(self) -> list[str]:
-        """Return the targets' names with file and line."""
         return [f"{target.name} ({self.file} line {target.line})" for target in self.targets]
 
     def values(self) -> Array:
@@ -169,7 +168,6 @@ class Program(programs.Program):
 
     @property
     def tool(self) -> StatedTool | None:
-        """Return the TCP that the program sets."""
         if self.tcp is None:
             return None
         numbers = ", ".join(each.text for each in self.tcp.numbers)
@@ -180,7 +178,6 @@ class Program(programs.Program):
 
     @property
     def remarks(self) -> list[str]:
-        """Return the comments of the file."""
         quiet = (each for line in self.text.split("\n") for each in _QUIET.findall(line))
         return [each[1:] for each in quiet if each.startswith("#")]
 
@@ -269,7 +266,6 @@ class _Reader:
         self._main = 0  # the line of the first def
 
     def read(self, found: list[Statement]) -> list[str]:
-        """Return what is refused, by line."""
         problems = dict[int, str]()
         for take in (self._name, self._use):
             for statement in found:
@@ -435,7 +431,6 @@ JOINT_DECIMALS = 7  # of rad and m
 
 
 def write_station(program: StationProgram, stamp: Stamp) -> dict[str, bytes]:
-    """Return the file of a station by its name."""
     name = module_name(program.station)
     text = "".join(f"{line}\n" for line in _lines(name, program, stamp))
     return {f"{name}{SUFFIX}": text.encode(ENCODING)}

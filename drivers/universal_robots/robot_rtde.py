@@ -279,7 +279,6 @@ class UrRtdeRobot:
         return number
 
     def heartbeat(self) -> None:
-        """Send the script a heartbeat."""
         self._heartbeat_due_s = time.monotonic() + self.HEARTBEAT_S
         self.link().write(self._order)
 
@@ -419,7 +418,6 @@ class UrRtdeRobot:
         return ROBOT.connected(self._dashboard)
 
     def _check_wait(self) -> None:
-        """Run in every wait on the wire."""
         self._clock.check()
         self.watch.feed()
         if self.watch.active and time.monotonic() >= self._heartbeat_due_s:
@@ -433,7 +431,6 @@ class UrRtdeRobot:
 
 
 def script_text(session: int) -> bytes:
-    """Return the script as it is sent, with the number by which it is known again."""
     text = (resources.files("drivers.universal_robots") / "script" / "hilcell.script").read_text(
         "ascii"
     )
@@ -497,7 +494,6 @@ class UrSweep:
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        """Brake a motion in progress."""
         self._robot.watch.stop()
         if not self._moving:
             return
@@ -620,7 +616,6 @@ class Release:
             self.stop()
 
     def _read_answer(self, deadline: Deadline) -> None:
-        """Take note of what the dashboard has answered to the stops."""
         if self._panel is None:
             return
         try:

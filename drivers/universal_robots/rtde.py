@@ -80,7 +80,6 @@ class Recipe:
 
     @staticmethod
     def request(kind: Kind, names: Sequence[str], head: bytes = b"") -> bytes:
-        """Return the request for data packages of these fields, or to write them."""
         return encode(kind, head + ",".join(names).encode("ascii"))
 
     @classmethod
@@ -290,7 +289,6 @@ class UrState:
 
     @property
     def runtime(self) -> str:
-        """The state of the program as text."""
         known = {each.value: each.name.lower() for each in Runtime}
         return f"runtime_state is {self.runtime_state} ({known.get(self.runtime_state, 'unknown')})"
 
@@ -454,7 +452,6 @@ class UrLink:
         return recipe
 
     def _ask(self, kind: Kind, request: bytes) -> bytes:
-        """Return the payload of the answer of the same type."""
         self._link.send(request, kind.name.lower())
         for last in polls(self.ANSWER_S):
             self._check()

@@ -184,7 +184,6 @@ class RailDrive(CanopenSlave):
 
     @property
     def stopping(self) -> bool:
-        """Whether the drive brings the slide to rest by itself."""
         return self._busy and self.state in (State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
 
     def dither(self) -> None:
@@ -488,7 +487,6 @@ class RailDrive(CanopenSlave):
         add(0x6502, 0, Entry("I", 1 << 0 | 1 << 5, "ro"))
 
     def _add_pdos(self) -> None:
-        """Lay out the PDOs as the profile's defaults do."""
         for number, more in enumerate(((), (0x6060,), (0x607A,))):
             self.receive_pdos += [ReceivePdo(self.dictionary, NODE, number, (0x6040, *more))]
         for number, more in enumerate(((), (0x6061,), (0x6064,), (0x606C,))):
@@ -586,7 +584,6 @@ class RailServer(BusServer):
         return None if value is None else usual if value is True else int(value)
 
     def _fault_reply(self, cob_id: int, data: bytes) -> bool:
-        """Whether a fault replaces the node's reply to an SDO request."""
         if self._faults.take("rail.sdo_timeout") is not None:
             return True
         code = self._number("rail.sdo_abort", Abort.DEVICE_STATE)

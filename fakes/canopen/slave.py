@@ -59,7 +59,6 @@ class Entry:
 
     @property
     def size(self) -> int:
-        """Return the length in bytes of a number."""
         return struct.calcsize("<" + self.kind)
 
     @property
@@ -136,7 +135,6 @@ class ObjectDictionary:
         return self._entries[index, sub].number
 
     def set(self, index: int, sub: int, value: int | str) -> None:
-        """Change a value from inside the device, with any access."""
         self._entries[index, sub].value = value
 
     def restore(self, indices: range) -> None:
@@ -185,7 +183,6 @@ class SdoServer:
         self._transfer: _Transfer | None = None
 
     def reset(self) -> None:
-        """Drop the current transfer."""
         self._transfer = None
 
     def answer(self, request: bytes) -> bytes | None:
@@ -298,7 +295,6 @@ class Pdo:
 
     @property
     def valid(self) -> bool:
-        """Whether the PDO is switched on."""
         return not self._cob_id.number & INVALID
 
     @property
@@ -370,7 +366,6 @@ class TransmitPdo(Pdo):
         self._syncs, self._sent, self._sent_s = 0, None, 0.0
 
     def at_sync(self) -> bytes | None:
-        """Return the data due at this SYNC."""
         kind = self._type.number
         if kind not in self.SYNC_TYPES or not self.valid:
             return None
@@ -391,7 +386,6 @@ class TransmitPdo(Pdo):
         return data
 
     def next_s(self) -> float:
-        """Return when the event timer runs out."""
         if self._type.number in self.EVENT_TYPES and self.valid and self._timer_ms.number:
             return self._sent_s + self._timer_ms.number / 1000.0
         return math.inf
@@ -487,13 +481,11 @@ class CanopenSlave:
     # -- called by the bus --------------------------------------------------------------------
 
     def boot(self, now_s: float) -> None:
-        """Announce the node and wait for the master in PRE-OPERATIONAL."""
         self.nmt = Nmt.PRE_OPERATIONAL
         self._send(0x700 + self.node, bytes([Nmt.BOOT_UP]))
         self._schedule_heartbeat(now_s)
 
     def receive(self, cob_id: int, data: bytes, now_s: float) -> None:
-        """Take one frame from the bus."""
         if self.nmt is Nmt.BOOT_UP:
             return
         if cob_id == self.NMT_COB_ID:
@@ -525,7 +517,6 @@ class CanopenSlave:
         return min(self._next_heartbeat_s, self._heard_by_s, self._event_s())
 
     def cyclic(self) -> bool:
-        """Whether a PDO is sent by its event timer."""
         return self._event_s() < math.inf
 
     def _event_s(self) -> float:

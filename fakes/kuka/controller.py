@@ -81,7 +81,6 @@ class ExternalAxis:
         rail.master()
 
     def inside(self, target_mm: float) -> bool:
-        """Whether a target lies within the software limits."""
         limit_mm = 0.5  # outside the travel
         lowest_mm, highest_mm = self._table.travel_min_mm, self._table.travel_max_mm
         return lowest_mm - limit_mm <= target_mm <= highest_mm + limit_mm
@@ -179,7 +178,6 @@ class KrlController:
         self.restore()
 
     def restore(self) -> None:
-        """Clear all faults and restart the program, as an operator does."""
         with self._lock:
             self._mode, self._program = "#EX", "#P_ACTIVE"
             self._emergency, self._message = False, False
@@ -202,7 +200,6 @@ class KrlController:
             return reader()
 
     def read_all(self, names: Sequence[str]) -> list[str]:
-        """Return variables of one instant, as a program on the controller reads them."""
         with self._lock:
             self._apply_request_faults()
             self._snapshot = self._poll()
@@ -382,7 +379,6 @@ class KrlController:
 
     @property
     def _slide_in_motion(self) -> bool:
-        """Whether the slide moves, also on its brake."""
         return self._slide is not None and self._slide.axes_moving
 
     # -- the resident program -------------------------------------------------------------------
@@ -470,7 +466,6 @@ class KrlController:
             self._halt("#P_FREE")
 
     def _poll(self) -> RobotState:
-        """Advance a motion, apply its faults, and return the state."""
         if self._snapshot is not None:
             return self._snapshot
         self._apply_motion_faults()

@@ -112,7 +112,6 @@ def reply(command: int, status: int = Status.OK, body: bytes = b"") -> bytes:
 
 
 def status_change(change: int) -> bytes:
-    """Return an unsolicited status change."""
     return COMMAND.pack(COMMAND.size, Type.STATUS_CHANGE, change)
 
 
@@ -439,7 +438,6 @@ class EmsconDevice:
         yield reply(command)
 
     def _change_face(self, command: int) -> Steps:
-        """Change the face and point to the same place."""
         if not self._initialised:
             yield reply(command, Status.NOT_INITIALIZED)
             return
@@ -588,7 +586,6 @@ class EmsconDevice:
         return found / self._mm_per_unit()
 
     def _offset_error_mm(self) -> float:
-        """Return the range error with another reflector than the mounted one."""
         mounted, chosen = (
             OFFSETS_MM.get(self._reflectors[number], 0.0)
             for number in (self._mounted, int(self._settings["reflector"][0]))
@@ -694,7 +691,6 @@ class EmsconServer(Server):
         return True
 
     def _send_damaged(self, session: _Session, data: bytes) -> None:
-        """Send a result's bytes, with the faults of the wire."""
         take = self._faults.take
         if take("tracker.eof") is not None:
             raise ConnectionAbortedError

@@ -165,7 +165,6 @@ class GeocomDevice:
         return Answer()
 
     def _aim(self, width: float, height: float) -> Answer:
-        """Aim at the reflector closest to the line of sight, within a window."""
         if not self._atr:
             return Answer(Code.ATR_OFF)
         self._wait(self.AIM_S)
@@ -351,7 +350,6 @@ class GeocomServer(Server):
         session.say(b"?")
 
     def _reply(self, session: _Session, rpc: int, transaction: int, answer: Answer) -> None:
-        """Send a reply, with the faults of the wire."""
         results = (2082, 2108)
         if rpc not in results:
             known = self.device.knows(rpc)

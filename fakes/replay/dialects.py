@@ -97,7 +97,6 @@ class Slcan(Dialect):
     HEARTBEAT = re.compile(rb"t7[0-7][0-9A-F]")
 
     def unheard(self, message: bytes) -> bool:
-        """Whether it is a heartbeat."""
         return self.HEARTBEAT.match(message) is not None or super().unheard(message)
 
     def is_command(self, message: bytes) -> bool:
@@ -105,7 +104,6 @@ class Slcan(Dialect):
         return message[:1] == b"t" and message[1:2] in b"2345"
 
     def beat(self, answer: bytes) -> bytes:
-        """Return the node whose heartbeat it is."""
         found = self.HEARTBEAT.match(answer)
         boot_up = b"100"  # behind a node's identifier: it has begun, once
         return b"" if found is None or answer.strip()[4:] == boot_up else found[0]
@@ -121,7 +119,6 @@ class GeoCom(Dialect):
         return self.GEOCOM.sub(rb"\1\3", message.strip())
 
     def answer(self, asked: bytes, recorded: bytes, answer: bytes) -> bytes:
-        """Return the answer with the number of this question."""
         number = self.GEOCOM.search(asked)
         return answer if number is None else self.GEOCOM.sub(rb"\g<1>" + number[2] + rb"\3", answer)
 
@@ -155,7 +152,6 @@ class Sized(Dialect):
         return messages, data
 
     def name(self, message: bytes) -> bytes:
-        """Return the whole message."""
         return message
 
     def unheard(self, message: bytes) -> bool:
@@ -175,7 +171,6 @@ class C3(Sized):
         return answer[:2] == asked[:2]
 
     def answer(self, asked: bytes, recorded: bytes, answer: bytes) -> bytes:
-        """Return the reply with the tag of this request."""
         return asked[:2] + answer[2:]
 
     def alive(self, asked: bytes) -> list[bytes]:
@@ -192,7 +187,6 @@ class Emscon(Sized):
     """emScon: a stream's packets are of type 3; some commands carry a place."""
 
     def name(self, message: bytes) -> bytes:
-        """Return the command, to a rounded place."""
         numbers_of = {55: 3, 63: 1, 135: 3}  # of doubles behind these commands
         command, count = message[8:12], numbers_of.get(message[8], 0)
         if len(message) < 12 + 8 * count or not count:
@@ -201,7 +195,6 @@ class Emscon(Sized):
         return command + " ".join(f"{each:.9f}" for each in numbers).encode()
 
     def is_sample(self, answer: bytes) -> bool:
-        """Whether it is a packet of a stream."""
         return answer[4:8] == b"\3\0\0\0"
 
 
@@ -236,5 +229,4 @@ def leica_geocom(_options: Options) -> dict[str, Dialect]:
 
 
 def _strip(options: Options) -> Dialect:
-    """Return the dialect of a strip on a wire of its own, a bus or a serial line."""
     return Slcan() if options.get("strip", NONE).get("driver") == "canopen" else StripLine()

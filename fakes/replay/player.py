@@ -61,7 +61,6 @@ class EventTime:
         self._landmarks_s = sorted([*self._landmarks_s, *landmarks_s])
 
     def end_at(self, time_s: float, place: str) -> None:
-        """Set the end of a wire's recording, and its line in the file."""
         self._end_s, self._end = max((self._end_s, self._end), (time_s, place))
 
     def cut_at(self, time_s: float, place: str) -> None:
@@ -106,7 +105,6 @@ class EventTime:
         self._idle_s = 0.0
 
     def part(self) -> tuple[float, float]:
-        """Return the times of the landmarks between which the replay is."""
         return self._landmark_s, following(self._landmarks_s, self._landmark_s)
 
     def next_asked_s(self) -> float:
@@ -167,7 +165,6 @@ class ClockReadings:
         self._ahead_s = 0.0  # by waits that were not recorded
 
     def wait(self, duration_s: float) -> None:
-        """Let cell time pass at once."""
         with self._lock:
             self._since_s += duration_s
 
@@ -216,7 +213,6 @@ class Exchange:
 
 
 def exchanges(pieces: Sequence[Piece], dialect: Dialect) -> list[Exchange]:
-    """Return the exchanges of one connection."""
     found, asking, answering = [Exchange(b"")], b"", b""
     apart_s = 1e-9  # of messages in one piece, so that what parts the recording has a before
     for piece in pieces:
@@ -242,7 +238,6 @@ def exchanges(pieces: Sequence[Piece], dialect: Dialect) -> list[Exchange]:
 
 
 def connections(pieces: Sequence[Piece], dialect: Dialect) -> list[list[Exchange]]:
-    """Return the exchanges of each connection of a recording, in their order."""
     each_of = [[piece for piece in pieces if piece.c == number] for number in _opened(pieces)]
     found = [exchanges(each, dialect) for each in each_of]
     return [_merged(each, dialect) for each in found] if dialect.flows else found
@@ -363,7 +358,6 @@ class Script:
         return [each for beat, each in self._beats.items() if now_s <= self._beats_end_s[beat]]
 
     def come(self, now_s: float) -> list[bytes]:
-        """Return the samples of a stream that have come by a time."""
         count = bisect_right(self._samples, now_s, key=itemgetter(0))
         return [self._samples.popleft()[1] for _ in range(count)]
 
@@ -444,7 +438,6 @@ class Script:
         return found[end - 1] if end > 0 else self._early(found[0])
 
     def _early(self, first: Exchange) -> Exchange | None:
-        """Return the answer to a question that is asked before the part in which it was."""
         now_s = self._time.heard_s
         early = replace(first, time_s=now_s, came_s=[now_s] * len(first.answers))
         return early if first.time_s < self._time.stop_s else None
@@ -582,7 +575,6 @@ class RecordedWire(Server):
         self._numbers[client] = next(self._count)
 
     def _player(self, client: socket.socket) -> tuple[Script, list[bytes]]:
-        """Return what plays a connection, and its greeting."""
         number = min(self._numbers.pop(client), len(self._recorded) - 1)
         recorded, cut = self._recorded[number], self._cut[number]
         if self._unopened:

@@ -42,7 +42,6 @@ Recorded = Mapping[str, Sequence[Piece]]
 
 
 def sessions(folder: Path) -> list[Path]:
-    """Return the folders of a run's recorded sessions, from its beginning on."""
     numbers = {
         int(found[1]): path
         for path in folder.glob("wires-*")
@@ -105,7 +104,6 @@ def cell_folder(cell: Cell) -> Path:
 
 
 def _other_cell(cell: Cell, folder: Path, head: RunHeader) -> list[str]:
-    """Return that another cell was recorded, or which devices with another driver."""
     if (name := head.cell["name"]) != cell.name:
         what = f"recorded was cell {name!r}, asked was {cell.name!r}"
         return [f"{folder}: {what}; name that one's file"]
@@ -149,7 +147,6 @@ def without_dialect(cell: Cell, paths: Mapping[str, Path], wires: Recorded) -> I
 
 
 def _other_settings(cell: Cell, folder: Path, head: RunHeader) -> Iterator[str]:
-    """Return as text what was recorded with other settings."""
     recorded = convert(head.cell, Cell, DATA)
     if changed := differences(_common(recorded), _common(cell)):
         act = f"use the cell file and settings of run {head.run}"

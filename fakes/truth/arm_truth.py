@@ -237,7 +237,6 @@ class ArmTruth:
         return self._by_angles(joints_rad) + lost
 
     def strain(self, warm_k: float) -> float:
-        """Return the arm's relative thermal growth."""
         return self._machine.transmission.growth_um_m_k * 1e-6 * warm_k
 
     def reflector_pose(self, true_rad: Array, strain: float) -> Array:

@@ -97,7 +97,6 @@ class CellTruth:
         self.arm.slip_rad[axis - 1] = slip_rad
 
     def slip_mount(self, along_mm: float) -> None:
-        """Shift the reflector on the flange along its x permanently."""
         self._slip_pose[0, 3] += along_mm
         self._forget()
 
@@ -175,7 +174,6 @@ class CellTruth:
         return base, nests
 
     def _forget(self) -> None:
-        """Discard what is cached while nothing moves."""
         self._joints_cache, self._places_cache = (None, np.zeros(6)), None
 
     def base_in_world(self) -> Array:
@@ -184,7 +182,6 @@ class CellTruth:
 
     @staticmethod
     def _bars(layout: Layout, sigma_mm: float, rng: np.random.Generator) -> dict[str, Array]:
-        """Return the nests of scale bars, at their certified lengths from each other."""
         nests = _placed(layout.bar, sigma_mm, rng)
         for bar in layout.length:
             one, other = bar.nests

@@ -197,7 +197,6 @@ def load_machine(where: str, sizes: Mapping[str, Any] | None = None) -> Machine:
 
 
 def _replaced(values: Mapping[str, Any], sizes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return tables with single values replaced, in inner tables as well."""
     inner = {
         key: _replaced(values[key], each)
         for key, each in sizes.items()

@@ -105,7 +105,6 @@ class RailTruth:
             self._start(path, f"{target_mm:.3f}", distance_mm)
 
     def quick_stop(self, deceleration_mm_s2: float) -> None:
-        """Brake to standstill."""
         with self._lock:
             self._homing = False
             before_mm = self._landing(self._time.now_s())
@@ -130,7 +129,6 @@ class RailTruth:
             self._zero_mm = 0.0
 
     def brake(self, closed: bool) -> None:
-        """Close or open the holding brake, which stops a moving slide."""
         brake_mm_s2 = 5000.0
         with self._lock:
             self._braked = closed
@@ -162,7 +160,6 @@ class RailTruth:
 
     @property
     def motion_ends_s(self) -> float:
-        """Cell time at which the motion in progress ends."""
         return self._path.end_s
 
     def slide_mm(self) -> float:

@@ -256,7 +256,6 @@ class RobotMotion:
 
     @property
     def motion_ends_s(self) -> float:
-        """Cell time at which the motion in progress ends."""
         return self._path.end_s
 
     @property

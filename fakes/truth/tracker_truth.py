@@ -266,13 +266,11 @@ class ReplayTracker:
         return best if best is not None and off_mm[best] <= radius_mm else None
 
     def measure(self, name: str, *, back: bool = False) -> Measurement | None:
-        """Return the recorded measurement, in either face."""
         at_mm = self.reflector(name)
         std_mm = 0.005  # the data contain no standard deviations
         return None if at_mm is None else Measurement(at_mm, np.full(3, std_mm))
 
     def air(self) -> Air:
-        """Return standard air, for the data contain none."""
         return Air(temperature_c=20.0, pressure_mbar=1013.25, humidity_percent=50.0)
 
 
@@ -302,7 +300,6 @@ class StreamTruth:
         self.drift = drift_ppm * 1e-6 * float(clock.uniform(-1.0, 1.0))
 
     def device_s(self, time_s: float) -> float:
-        """Return the tracker's time at a cell time."""
         return self.offset_s + (1.0 + self.drift) * time_s
 
     def follow(self, name: str) -> Followed:

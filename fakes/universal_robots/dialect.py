@@ -35,7 +35,6 @@ class Rtde(Sized):
         return message[KIND] == DATA and len(message) == HEAD + 1 + self.QUESTION.size
 
     def passed(self, message: bytes) -> None:
-        """Note the number of a request."""
         (self._question,) = self.QUESTION.unpack_from(message, HEAD + 1)
 
     def name(self, message: bytes) -> bytes:
@@ -74,7 +73,6 @@ class Rtde(Sized):
         return bytes(found)
 
     def repeats(self, answer: bytes) -> bool:
-        """Whether it is a package of data."""
         return answer[KIND] == DATA
 
     def works(self, asked: bytes, answer: bytes) -> bool:
@@ -111,7 +109,6 @@ class UrScript(Dialect):
         return [], b""
 
     def split_questions(self, data: bytes) -> tuple[list[bytes], bytes]:
-        """Return the whole scripts, and the rest."""
         ends = [0]
         while (end := data.find(self.END, ends[-1])) >= 0:
             ends.append(end + len(self.END))
@@ -122,7 +119,6 @@ class UrScript(Dialect):
         return self.NUMBER.sub(b"", message)
 
     def heard(self, asked: bytes, recorded: bytes) -> None:
-        """Note the session's number."""
         new, old = self.NUMBER.search(asked), self.NUMBER.search(recorded)
         if new is not None and old is not None:
             self._sessions[int(old[1])] = int(new[1])

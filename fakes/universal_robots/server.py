@@ -114,7 +114,6 @@ class UrController:
             self._motion.override(1.0)
 
     def slide(self, fraction: float) -> None:
-        """Move the speed slider at the panel."""
         with self._lock:
             self._fraction = fraction
             self._motion.override(fraction)

@@ -72,7 +72,6 @@ class Statement:
 
     @property
     def is_at_any_time(self) -> bool:
-        """Whether it declares an interrupt or a trigger."""
         return any(token.word in ("INTERRUPT", "TRIGGER") for token in self.tokens[:2])
 
     @property
@@ -120,7 +119,6 @@ def closing(tokens: Sequence[Token], at: int) -> int:
 
 
 def text_of(tokens: Sequence[Token]) -> str:
-    """Return tokens as one word in capitals, for comparison."""
     return "".join(token.word for token in tokens)
 
 
@@ -284,5 +282,4 @@ class DataList:
         self.data[datum.name] = datum
 
     def elements(self, base: str) -> list[str]:
-        """Return the names of all elements of an array."""
         return [name for name in self.data if name.startswith(f"{base}[")]

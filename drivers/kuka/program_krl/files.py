@@ -104,7 +104,6 @@ class _Surely:
             self._open, self._jump, self._exit = [], 0, 0
 
     def take(self, statement: Statement) -> None:
-        """Take a statement below the header."""
         if statement.head in self.CONDITIONAL:
             self._open.append((statement.head, statement.line))
         elif ENDS.get(statement.head) in self.CONDITIONAL and self._open:
@@ -239,7 +238,6 @@ class _Reader:
         )
 
     def _strokes(self) -> list[Stroke]:
-        """Return the strokes, each from a target that it may start at."""
         keys = list(self.targets)
         found = []
         for each in self._relative:
@@ -252,7 +250,6 @@ class _Reader:
 
     @cached_property
     def _external(self) -> ExternalRule:
-        """The external axes at the targets."""
         return ExternalRule(self._file, self._blocks, self._stops, self.targets)
 
     def _notes(self) -> list[str]:
@@ -385,7 +382,6 @@ class _Reader:
         return found
 
     def _add(self, meant: Mapping[str, Datum], motion: Statement) -> None:
-        """Take the targets, by key, that a motion goes to one of."""
         self._stops[motion.line] = stops = list[Stop]()
         for key, datum in meant.items():
             known = self.targets.get(key)
@@ -502,7 +498,6 @@ class _Reader:
 
 
 def _target(tokens: Sequence[Token]) -> tuple[Sequence[Token], Sequence[Token]]:
-    """Return the tokens of a motion's target, and those after it."""
     if len(tokens) < 2 or not (tokens[1].kind == "word" or tokens[1].text == "{"):
         raise KrlError(f"{tokens[0].word} has no target that is understood")
     end = 2
@@ -514,7 +509,6 @@ def _target(tokens: Sequence[Token]) -> tuple[Sequence[Token], Sequence[Token]]:
 
 
 def _blocks(found: Sequence[Statement]) -> dict[str, list[Statement]]:
-    """Return the statements of each own program and subprogram below its header."""
     blocks: dict[str, list[Statement]] = {}
     current = ""
     for statement in found:
@@ -536,7 +530,6 @@ def _local(statement: Statement) -> list[str]:
 
 
 def _assigned(statement: Statement) -> list[str]:
-    """Return the names that a statement gives another value, in part or as a whole."""
     tokens = statement.tokens
     try:
         return [token.word for at, token in enumerate(tokens) if assigned_at(tokens, at)]

@@ -90,7 +90,6 @@ class Flow(Generic[State]):
                 self._through(name, begin)
 
     def _through(self, name: str, begin: State) -> list[State]:
-        """Return the states at the end of a program that begins in one."""
         begun = name, self._key(begin)
         if begun in self._done:
             return self._done[begun]
@@ -134,7 +133,6 @@ class Flow(Generic[State]):
         return list(found.values())
 
     def _called(self, statement: Statement) -> list[str]:
-        """Return the own subprograms that a statement calls."""
         pairs = zip(statement.tokens, statement.tokens[1:], strict=False)
         return [one.word for one, other in pairs if other.text == "(" and one.word in self._blocks]
 
@@ -214,7 +212,6 @@ class ExternalRule:
         stops: Mapping[int, Sequence[Stop]],
         targets: Mapping[str, Target],
     ) -> None:
-        """Take the motions' stops by line, and the targets by key."""
         self._file, self._stops, self._targets = file, stops, targets
         stated = {
             name
@@ -387,7 +384,6 @@ class StrokeRule:
     """
 
     def __init__(self, blocks: Mapping[str, Sequence[Statement]], moving: Set[str]) -> None:
-        """Take the own subprograms by name, and those of them that move."""
         self._moving = moving
         self._drills = {
             name: strokes
@@ -422,7 +418,6 @@ class StrokeRule:
         return [] if statement.line in self._read_at_calls else self._from(statement)
 
     def _from(self, statement: Statement) -> list[Relative]:
-        """Return the strokes from the current place of the robot."""
         keys, self._keys = self._keys, ()  # where it leads is not known if it is refused
         shift_mm = self._shift(statement)
         if self._interrupted:

@@ -169,7 +169,6 @@ class FrameRule:
             return Stated(line, text, None), Stated(line, text, None)
 
     def after(self, line: int, state: Modal) -> Modal:
-        """Return what the statement of a line leaves in force."""
         for change in self._settings.get(line, ()):
             state = change(state)
         return state

@@ -62,7 +62,6 @@ class Target:
 
     @property
     def where(self) -> str:
-        """Return name, file and line for messages."""
         return f"{self.name} ({self.file} line {self.line})"
 
 
@@ -95,7 +94,6 @@ class Program(programs.Program):
 
     @property
     def names(self) -> list[str]:
-        """Return the targets' names with file and line."""
         return [target.where for target in self.targets]
 
     def values(self) -> Array:
@@ -162,7 +160,6 @@ class Program(programs.Program):
 
     @property
     def remarks(self) -> list[str]:
-        """The comments of the files."""
         lines = [line for text in self.texts.values() for line in text.splitlines()]
         return [remark for _, sign, remark in (line.partition(";") for line in lines) if sign]
 
@@ -211,7 +208,6 @@ def turn_of(joints_rad: ArrayLike) -> NDArray[np.int_]:
 
 
 def write_station(program: StationProgram, stamp: Stamp) -> dict[str, bytes]:
-    """Return the files of a station by name."""
     name = module_name(program.station)
     texts = {
         f"{name}{SOURCE}": _source(name, program, stamp),
@@ -307,7 +303,6 @@ def _points(places: Places) -> Iterator[str]:
 
 
 def _frame(values: Array | Sequence[float]) -> str:
-    """Return a structure with as many decimals as lists have."""
     decimals = (4, 4, 4, 6, 6, 6)
     parts = zip(POSE, values, decimals, strict=True)
     return "{" + ",".join(f"{axis} {value:.{places}f}" for axis, value, places in parts) + "}"
