@@ -1,1 +1,1 @@
-"""Drivers: one plain class a device, its protocol with it; found through entry points."""
+"""Drivers: one plain class a device, with its protocol; entry points name them."""

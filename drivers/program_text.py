@@ -1,8 +1,7 @@
-"""Texts of robot programs in which numbers are replaced and all else stays byte for byte.
+"""Texts of robot programs in which numbers are replaced byte for byte.
 
-Files are taken as latin-1, in which every byte is a character. A letter beyond it loses its accent
-in a comment of ours, or is transliterated. One that no table here has is written by its number, so
-that two names stay two.
+Files are latin-1, in which every byte is a character. In our comments a letter beyond it loses its
+accent, is transliterated, or is written by its number, so that two names stay different.
 """
 
 from __future__ import annotations

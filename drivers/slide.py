@@ -1,14 +1,13 @@
-"""The slide as drive and strip show it: standstill, readings at rest, agreement of the scales.
+"""The slide by drive and strip: standstill, readings at rest, agreement of the scales.
 
 A servo that holds a position dithers. So a slide is at rest when every poll of a dwell shows a
-speed within a window, and all their positions, the drive's and the strip's, lie within windows. A
-slow creep passes any window of speed; only the spread of the positions shows it. Polls that agree
-with the newest are kept, so a slide at rest since the last reading is confirmed by one poll and not
-by one more dwell.
+speed within a window, and all positions, of drive and strip, lie within windows: only their spread
+shows a slow creep. Polls that agree with the newest are kept, so a slide at rest since the last
+reading is confirmed by one poll.
 
-Motions are the drive's and end by its standstill; only a reading needs the strip, so a strip that
-is lost ends no motion and lets no reading through. A strip in alarm has no position; then the drive
-alone is judged, and `Rest.alarms` has the alarms.
+Motions are the drive's and end by its standstill; only a reading needs the strip, so a lost strip
+ends no motion and allows no reading. A strip in alarm has no position: the drive alone is judged,
+and `Rest.alarms` has the alarms.
 """
 
 from __future__ import annotations
@@ -296,10 +295,10 @@ class ScaleGuard:
     """Compares the distances of one motion by drive and strip: a wrong scale makes them differ.
 
     A wrong scale shows in every step of a motion. All other differences arise at once, and are
-    judged where the slide is at rest: a reference that homing has set, a strip that has jumped, a
-    slide that has slipped at its start. So the largest step does not count, nor does the next one
-    of a strip that is not read at the SYNC of the drive. Where one of the two does not move at all,
-    or the strip is in alarm, scales are not judged; the next step has all that was missed.
+    judged at rest: a reference set by homing, a strip that has jumped, a slide that slipped at its
+    start. So the largest step does not count, nor does the next one of a strip that is not read at
+    the SYNC of the drive. Where one of the two does not move at all, or the strip is in alarm,
+    scales are not judged; the next step includes what was missed.
     """
 
     SHARE = 0.05  # of the distance; scales of real slides differ by far less

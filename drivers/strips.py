@@ -1,7 +1,5 @@
-"""The strip of a rail, where it has a wire of its own: which ones there are, and how one is lost.
-
-No motion needs the strip. So a strip whose line breaks shows as one more alarm in its polls, as a
-missing magnet does, and a reading that needs it raises `StripLost`.
+"""The strip of a rail on a wire of its own. No motion needs the strip: a broken line shows as one
+more alarm in its polls, as a missing magnet does, and a reading that needs it raises `StripLost`.
 """
 
 from __future__ import annotations
@@ -74,8 +72,7 @@ class SerialStrip:
     A command is a letter, with a figure where it has one, and no end of line; every answer ends
     with ``>`` and CR. ``A0``, ``A1``, ``A2``: type, firmware, serial number; ``Z``: position,
     ``+0110042>``; ``X``: system register, ``0x01>``; ``?`` refuses a command (MSAC501-S(RS485) and
-    AP10S manuals). An answer carries no mark of its question, so a line that missed one is not
-    used again.
+    AP10S manuals). Answers do not name their command, so a line that missed one is not used again.
     """
 
     BITS: ClassVar = {
@@ -212,8 +209,8 @@ class StripNode(Node):
     def map(self, inbox: Inbox) -> None:
         """Configure its PDO, for ``inbox``: without the alarms where it has no 6503h.
 
-        Then, or where 6503h never has a position error (6504h), its emergencies have them; one
-        that was sent before is still in the error register.
+        Then, or where 6503h never has a position error (6504h), its emergencies have them; an
+        earlier one is still in the error register.
         """
         self.pdo, whole = self.pdo.configure_most(self.sdo), self.pdo
         inbox.expect(self.pdo)
@@ -238,8 +235,8 @@ class StripNode(Node):
 class CanopenStrip:
     """A sensor by CiA 406, on a CAN bus that is not the drive's.
 
-    Nothing moves on this bus, so the PC sends no heartbeat there: it asks by SYNC, and a sensor
-    that was reset or that falls silent is lost like any other strip.
+    Nothing moves on this bus, so the PC sends no heartbeat: it polls by SYNC, and a sensor that was
+    reset or is silent is lost like any other strip.
     """
 
     SYNCS = 2  # while they bring nothing, a slide that may move is not supervised

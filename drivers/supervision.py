@@ -1,15 +1,14 @@
 """Supervision of a device and its motion: silence, a late PC, no progress, overtime.
 
-A thread that the system held up for a second finds every deadline passed, though the answer has
-long arrived. So one poll counts for at most ``step_s``, and a miss is declared only by a poll made
-after the time was up. A late PC excuses the device, never the motion: nothing supervises it
-meanwhile, so a gap longer than `LATE_S` between two polls of a moving device ends the run. An
-engine that hangs cannot report that: a heartbeat asks `Watchdog.is_fed`, and pauses.
+A thread held up for a second misses every deadline, though the answer has arrived. So one poll
+counts for at most ``step_s``, and a miss is declared only by a poll made after the time was up. A
+late PC excuses the device, never the motion: a gap longer than `LATE_S` between two polls of a
+moving device ends the run. An engine that hangs cannot report that: a heartbeat checks
+`Watchdog.is_fed`, and pauses.
 
-A fixed time limit would end a slow motion that is healthy, and none at all would let an arm creep
-for ever. So the time that a motion may take follows from its plan, in cell time, and it passes only
-as fast as the override lets the motion go. A simulated cell may run faster than any clock, so a
-motion is overdue only after the real time of a stall as well.
+A fixed time limit would end a slow healthy motion, and none would let an arm creep. So the time
+allowed follows from the plan, in cell time, scaled by the override. A simulated cell may run faster
+than real time, so a motion is overdue only after the real time of a stall as well.
 """
 
 from __future__ import annotations
@@ -40,9 +39,8 @@ class Deadline:
         self._polled_s = time.monotonic()
 
     def expired(self) -> bool:
-        """Subtract the time since the last poll; return whether none is left.
-
-        The caller then polls once more before it reports the device as silent.
+        """Subtract the time since the last poll; return whether none is left. The caller then polls
+        once more before it reports the device as silent.
         """
         now_s = time.monotonic()
         self._left_s -= min(now_s - self._polled_s, self._step_s)

@@ -1,6 +1,6 @@
 """Wires of drivers: a TCP connection or a serial line, used alike, and lines of text over either.
 
-Every wait ends within 20 ms of a stop. By default keepalive notices a dead peer after two hours. So
+Every wait ends within 20 ms of a stop. By default keepalive notices a dead peer after two hours, so
 the probe times are set, unsent bytes expire by TCP_USER_TIMEOUT where the system has it, and every
 read has a deadline, which counts polls that received nothing, never the clock of a thread that did
 not run.

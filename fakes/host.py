@@ -1,13 +1,11 @@
-"""A whole simulated cell in one process: its physics, simulated devices, control channel.
+"""A whole simulated cell in one process: physics, simulated devices, control channel.
 
 ``python -m fakes.host`` serves one: the first line on stdin is the order (JSON), the first line on
-stdout says where everything listens. It exits when stdin ends, so it never outlives its parent.
-
-On the control channel ``{"do": "addresses" | "now" | "wait" | "fault" | "clear" | "truth" | "seat"
-| "quit", ...}`` is answered by ``{"ok": true, ...}`` or ``{"ok": false, "error": ...}``. The engine
-uses it only for time; faults and truth are for tests, and truth is answered only by a cell started
-with it; ``seat`` places the reflector that an operator would carry. No device's wire shows any of
-this.
+stdout gives all addresses. It ends with stdin, so it never outlives its parent. On the control
+channel ``{"do": "addresses" | "now" | "wait" | "fault" | "clear" | "truth" | "seat" | "quit",
+...}`` is answered by ``{"ok": true, ...}`` or ``{"ok": false, "error": ...}``. The engine uses it
+only for time; faults and truth are for tests; ``seat`` places the reflector that an operator would
+carry. No device's wire shows any of this.
 """
 
 from __future__ import annotations
@@ -60,7 +58,7 @@ def truth_answer(truth: CellTruth, order: Values) -> Values:
 
 
 class Order(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The wanted simulated cell; ``seed`` is the machine's, ``speed`` None is stepped time."""
+    """The ordered simulated cell; ``seed``: the machine's; ``speed`` None: stepped time."""
 
     cell: dict[str, Any]
     seed: int = 1

@@ -1,13 +1,13 @@
 """The magnetic strip's sensor, behind each wire that it may have.
 
-On its drive's bus, or on a CAN bus of its own, it is a CiA 406 absolute linear encoder, 100
-counts/mm: `RailStrip`. On a serial line, or TCP on a stated port, it speaks SIKO's service
-commands: ``A0``, ``A1``, ``A2``, ``Z`` or ``X``, without an end of line; an answer ends with ``>``
-and CR, and now and then it comes in two pieces. Anything else is answered with ``?`` and CR.
+On a CAN bus it is a CiA 406 absolute linear encoder, 100 counts/mm: `RailStrip`. On a serial line,
+or TCP on a stated port, it speaks SIKO's service commands: ``A0``, ``A1``, ``A2``, ``Z`` or ``X``,
+without an end of line; an answer ends with ``>`` and CR, and sometimes comes in two pieces.
+Anything else is answered with ``?`` and CR.
 
-Absolute, so it needs no homing. Its reading flickers by a count to either side. A sensor without
-its magnet goes on answering with the last position; only its alarm shows it (bit 0 of 6503h and an
-EMCY, or of ``X``).
+Absolute, so it needs no homing. Its reading flickers by a count to either side. Without its magnet
+a sensor repeats the last position; only its alarm shows it (bit 0 of 6503h and an EMCY, or of
+``X``).
 """
 
 from __future__ import annotations

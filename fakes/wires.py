@@ -1,9 +1,8 @@
 """How simulated devices receive and answer: a TCP server, a serial line, late and cut segments.
 
-A server on loopback has a blocking thread a client: the quickest answer Python gives. Bytes leave
-now and then late, and now and then in two segments. Real devices do both, and TCP promises neither
-promptness nor whole packets. Which ones depends on the number of sends over the connection, so they
-are the same in each run.
+A server on loopback has a blocking thread a client. Bytes leave sometimes late, and sometimes in
+two segments, as with real devices; which ones depends on the number of sends over the connection,
+so they are the same in each run.
 """
 
 from __future__ import annotations

@@ -33,8 +33,8 @@ DIRECTIONS = ("up", "down")
 
 
 class Swept(StepResult, frozen=True, kw_only=True):
-    """An axis's transmission curve: its lines in cycles per revolution and their amplitudes, the
-    residual, and the difference of both sweeps.
+    """An axis's transmission curve: lines in cycles per revolution, amplitudes, residual, and
+    difference of both sweeps.
     """
 
     axis: int

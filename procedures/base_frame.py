@@ -139,9 +139,8 @@ def arcs(points: int) -> list[range]:
 
 
 def points_on_arc(cell: Cell) -> int:
-    """Return the number of points of each arc.
-
-    Targets, grid and correction are all in the measured {B}: its error does not reach the tool.
+    """Number of points of each arc. Targets, grid and correction are all in the measured {B}: its
+    error does not reach the tool.
     """
     points = cell.base_frame.points
     return min(points, 12) if cell.plan.quick else points

@@ -1,8 +1,8 @@
 """Conformance of the cell's drivers to their ports: each promise is tested on a device.
 
-In a simulated cell each driver has a simulated device of its own, behind wires that fail on demand,
-while the run's devices are at rest. On real devices only promises without faults are tested, by the
-run's guarded motions, each confirmed by the operator.
+In a simulated cell each driver has its own simulated device, with wires that fail on demand, while
+the run's devices are at rest. On real devices only promises without faults are tested, by guarded
+motions, each confirmed by the operator.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The correction from the grid's data, and the verification of its sign.
 
-Cross-validation chooses the model. Then one target is measured uncorrected and corrected: the
-paper's text has the wrong sign of the correction, which doubles every error. So nothing is released
-before a measured corrected target is closer than the uncorrected one.
+Cross-validation chooses the model. Then one target is measured uncorrected and corrected, because
+the paper's text has the wrong sign, which doubles every error: nothing is released before the
+corrected one is closer.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """The pose test of ISO 9283:1998: accuracy and repeatability of poses and of a distance.
 
 The cycle P5, P4, P3, P2, P1 begins at P1, and every pose is approached directly from the one before
-it: the standard tests the robot as it works, not from one side as a calibration measures it. A
-visit that is missing after a stop is approached in the same way.
+it, as the robot works, not from one side as in a calibration; also after a stop.
 """
 
 from __future__ import annotations
@@ -57,14 +56,12 @@ class BaseOfTest:
         return BaseFrame().plan(cell, seed)
 
     def perform(self, session: CellSession) -> None:
-        """Frame {B}, or take it from the calibration."""
         if session.cell.iso9283.calibration:
             adopt_calibration(session, ISO)
         else:
             BaseFrame().perform(session)
 
     def result(self, log: Log) -> Result:
-        """Return the base where it was measured."""
         return {} if log.cell.iso9283.calibration else BaseFrame().result(log)
 
 

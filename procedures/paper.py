@@ -1,11 +1,9 @@
 """The whole paper in one run: every system and experiment, its figure beside ours.
 
-Our figures are found from the journal of the run alone. Each row has the criterion by which it
-holds. A limit that a correct run of another machine may cross by chance, or that no mistake
-crosses, is no limit: so each is the paper's own figure, or follows from stated uncertainties or
-counts. A row that the cell file or the simulated machine brings about says "set": it cannot fail,
-and nothing is proved by it. Every other row names a mistake that fails it (`Row.fails`); a test
-commits that mistake.
+Our figures come from the run's journal alone. Each limit is the paper's own figure, or follows from
+stated uncertainties or counts: one that a correct run may exceed by chance, or that no mistake
+exceeds, is no limit. A row determined by cell file or simulated machine is "set": it cannot fail.
+Every other row names a mistake that fails it (`Row.fails`), and a test makes that mistake.
 """
 
 from __future__ import annotations
@@ -147,9 +145,8 @@ class Compared:
         return float(np.corrcoef(ranks(pairs.joint_rad), ranks(pairs.difference_mm))[0, 1])
 
     def beyond_chance(self) -> Limits:
-        """Return the rank correlation of which errors dealt to other vertices stay below.
-
-        Mantel's test: pairs of vertices are not independent, so whole vertices are exchanged.
+        """Upper limit of the rank correlation of errors assigned to other vertices. Mantel's test:
+        pairs of vertices are not independent, so whole vertices are exchanged.
         """
         pairs, count, permutations = grid_pairs(self.log), len(self.log.select("grid")), 999
         one, other = np.triu_indices(count, 1)
@@ -163,11 +160,11 @@ class Compared:
         return float(np.quantile(by_chance, SURE)), math.inf
 
     def interpolation_off_mm(self) -> float:
-        """Return how far the commands sent are from eqs 9-10 as printed in the paper (mm).
+        """Difference of the commands sent from eqs 9-10 as printed in the paper (mm).
 
-        P_cmd = P - e(P_cmd) in two steps, where e is worked out here from the 8 vertices within a
+        P_cmd = P - e(P_cmd) in two steps, where e is computed here from the 8 vertices within a
         pitch. Two steps, not the limit: at a face between cells e jumps (0.1 mm is common), so that
-        a target near a face may have no P_cmd of which the equation is exactly true.
+        a target near a face may have no exact P_cmd.
         """
         log = self.log
         points = log.select("validate", log.cell.grid.station, how=Sent.IDW)
@@ -180,10 +177,8 @@ class Compared:
         return float(lengths_mm(sent_mm - twice_mm).max())
 
     def transfer(self) -> tuple[float, float]:
-        """Return eq 13 by base frames against eq 17 by station frames, and its u, at the cube (mm).
-
-        At the station where the 3-D difference is the largest for its u (1 sigma, root of the
-        trace).
+        """Eq 13 by base frames against eq 17 by station frames, and its u, at the cube (mm). At the
+        station with the largest 3-D difference for its u (1 sigma, root of the trace).
         """
         log, cell = self.log, self.log.cell
         frames, centre_mm = Frames(cell, log), cell.grid.centre.matrix()[:3, 3]
@@ -227,10 +222,8 @@ class Compared:
         return np.nan, np.nan
 
     def plain_range(self) -> Limits:
-        """Return the range of approaches from both sides: the survey's backlash and two landings.
-
-        The backlash at the station may differ from the survey's mean as that does from stop to
-        stop.
+        """Range of approaches from both sides: the survey's backlash and two landings. The backlash
+        at the station may differ from the survey's mean as that does from stop to stop.
         """
         backlash, curve = self.result.rail_survey.backlash_mm, self.result.rail_survey.curve
         lost_mm = np.array(curve[BACK])[1:-1, 1] - np.array(curve[FORTH])[1:-1, 1]
@@ -313,11 +306,10 @@ class Compared:
         return mean_mm - 3 * np.sqrt(variance_mm2), mean_mm + 3 * np.sqrt(variance_mm2)
 
     def largest_of_many(self) -> Limits:
-        """Return the paper's 0.3, or the size that the largest of so many errors has by chance.
+        """The paper's 0.3, or the size that the largest of so many errors has by chance.
 
-        For normal errors in 3-D their norms follow Maxwell's law: the largest of 135 stays below
-        3.3 times their mean in all runs but one in a thousand, and below 2.2 times in every second
-        run.
+        For normal errors in 3-D their norms follow Maxwell's law: the largest of 135 is below 3.3
+        times their mean in all runs but one in a thousand, and below 2.2 times in every second run.
         """
         count, mean_mm = self.place("reference").points, self.mean("reference", Sent.IDW)
         of_all = np.sqrt(8.0 / np.pi)  # mean of Maxwell's law with unit standard deviation
@@ -394,10 +386,10 @@ Figure = Callable[[Compared], float]
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One figure: its name, the paper's value, its unit, where ours is found, when it holds.
+    """One figure: its name, the paper's value, its unit, source of ours, and criterion.
 
-    ``set_by`` names the cause of the figure; a machine sets it only if it is simulated. ``chosen``
-    is the same figure of the correction that was chosen instead of the paper's; it is not judged.
+    ``set_by``: the cause of a set figure; a machine sets it only if simulated. ``chosen``: the same
+    figure of the chosen correction; it is not judged.
     """
 
     name: str

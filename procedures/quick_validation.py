@@ -1,19 +1,19 @@
 """A quick validation: as few targets at each station as its verdict needs at the stated risks.
 
-Two claims must be shown: the mean of the 3D errors is below its limit, and not more than a share
-of the volume is above the maximum. The mean is judged by betting (Waudby-Smith and Ramdas 2024,
-"Estimating means of bounded random variables by betting"): a bet on a mean below m multiplies its
-stake by ``1 + f (m - x) / (b - m)`` at each error x <= b. Where the mean is m or above, no stake is
-expected to grow, so by Ville's inequality one ever reaches 1 / risk with a probability of at most
-the risk, at any number of evaluations. Nothing is assumed about the errors' distribution.
+Two claims: the mean of the 3D errors is below its limit, and not more than a share of the volume is
+above the maximum. The mean is judged by betting (Waudby-Smith and Ramdas 2024, "Estimating means of
+bounded random variables by betting"): a bet on a mean below m multiplies its stake by ``1 + f (m -
+x) / (b - m)`` at each error x <= b. Where the mean is m or above, no stake is expected to grow, so
+by Ville's inequality one ever reaches 1 / risk with a probability of at most the risk, at any
+number of evaluations and for any distribution.
 
-Targets come in blocks, one in each of as many equal parts of the volume, uniform in its part.
-Within a block errors are then not alike, but the product's expectation is at most that of alike
-ones (the geometric mean of the parts' factors is at most their arithmetic mean), so the inequality
-holds at the ends of blocks, and only there the data may be evaluated.
+Targets come in blocks, one in each of as many equal parts of the volume, uniform in its part. The
+product's expectation over a block is at most that of identically distributed errors (the geometric
+mean of the parts' factors is at most their arithmetic mean), so the inequality holds at the ends of
+blocks, and only there the data may be evaluated.
 
-A target above the maximum disproves the calibration: none may be. That none of n was shows at
-``(1 - share)^n <= risk`` that the share is less.
+A target above the maximum disproves the calibration. None of n shows at ``(1 - share)^n <= risk``
+that the share is less.
 """
 
 from __future__ import annotations
@@ -82,10 +82,8 @@ def least_targets(cell: Cell) -> int:
 
 
 def octant_targets(cell: Cell, seed: int, low_mm: Array, high_mm: Array) -> dict[str, Array]:
-    """Return targets (N, 3) in {B} by station, the grid's first: in blocks, one in each octant.
-
-    Each is uniform in its octant of the box from ``low_mm`` (3,) to ``high_mm`` (3,), so that
-    every block covers the box.
+    """Targets (N, 3) in {B} by station, the grid's first: in blocks, one in each octant. Each is
+    uniform in its octant of the box from ``low_mm`` (3,) to ``high_mm`` (3,).
     """
     blocks, half_mm = cell.plan.most_targets // BLOCK, (high_mm - low_mm) / 2
     drawn = {}
@@ -120,8 +118,7 @@ def record_guard(session: CellSession, station: str) -> None:
 
 def rounds(log: Log, station: str, how: str) -> Iterator[range]:
     """Yield the numbers of the targets of each next block, until the station is decided.
-
-    Of uncorrected targets, which decide nothing, one block shows the error before.
+    Uncorrected targets decide nothing: one block shows the error before.
     """
     yield range(BLOCK)
     for end in range(2 * BLOCK, log.cell.plan.most_targets + 1, BLOCK):
@@ -131,10 +128,10 @@ def rounds(log: Log, station: str, how: str) -> Iterator[range]:
 
 
 def judgement(log: Log, stations: list[str]) -> Decided:
-    """Return the outcome at ``stations``, the targets of each, and what it means.
+    """Outcome at ``stations``, the targets of each, and its meaning.
 
     More targets cannot accept what is shown to be above a tolerance less U. It is out of tolerance
-    only by the rule of all results: where a figure less U is above the tolerance, too.
+    only where a figure less U is above the tolerance, too.
     """
     decisions = [decision_at(log, station) for station in stations]
     counts, plan = [each.targets for each in decisions], log.cell.plan
@@ -197,9 +194,9 @@ class Decision:
 class SequentialRule:
     """Limits, risks and the block.
 
-    ``accept_risk`` is that of accepting errors whose mean is at its limit or above, or whose
-    share above the maximum is ``share`` or more; ``reject_risk`` is that of rejecting for the mean
-    errors whose mean is at its limit or below.
+    ``accept_risk``: of accepting errors whose mean is at its limit or above, or whose share above
+    the maximum is ``share`` or more; ``reject_risk``: of rejecting for the mean errors whose mean
+    is at its limit or below.
     """
 
     mean_limit_mm: float

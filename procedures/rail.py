@@ -1,7 +1,7 @@
 """The slide on its rail: survey, hold at a station by the strip, and repeatability.
 
-The rail is surveyed there and back with the robot parked (section 2, Fig 1). A station is held by
-the closed loop of the strip, and approached again and again (section 4.3, Figs 9-10).
+Survey in both directions with the robot parked (section 2, Fig 1). A station is held by the closed
+loop of the strip, and approached repeatedly (section 4.3, Figs 9-10).
 """
 
 from __future__ import annotations
@@ -51,7 +51,6 @@ class RailSurvey:
         return PlannedStep.of_spans(self.name, points, [survey, *closing(cell, points=points)])
 
     def perform(self, session: CellSession) -> None:
-        """Go forth and back; judge the backlash."""
         steps = steps_mm(session.cell)
         for way, order in ((FORTH, steps), (BACK, steps[::-1])):
             for number, position_mm in enumerate(order):
@@ -209,9 +208,8 @@ class StationRepeated(StepResult, frozen=True, kw_only=True):
 
 
 class StationRepeatability:
-    """Approaches one station many times, by the drive alone and by the strip.
-
-    First always from below, then from a random side: the difference is the direction's effect.
+    """Approaches one station many times, by the drive alone and by the strip. First always from
+    below, then from a random side: the difference is the direction's effect.
     """
 
     APPROACH_MM = 150.0
@@ -260,7 +258,6 @@ class StationRepeatability:
         session.slide_now(id, session.cell.layout.slide[0].name)
 
     def result(self, log: Log) -> Result:
-        """Return range, ISO 9283 RP and the effect of the side, along the rail."""
         below, random = (
             {how: approaches(log, how, way) for how in METHODS} for way in ("one_side", "random")
         )

@@ -1,8 +1,8 @@
 """A few corrected poses, re-measured: is the calibration still valid?
 
 For use after weeks, a crash or a change of temperature. {W} comes from the floor nests, so the
-tracker may have another position; the poses are commanded with the calibration's correction at its
-own station.
+tracker may have another position; poses are commanded with the correction, at the calibration's
+station.
 """
 
 from __future__ import annotations
@@ -124,10 +124,10 @@ def places_mm(calibration: Calibration, count: int, seed: int) -> Array:
 
 
 def _turned(cell: Cell, calibration: Calibration, poses: Array) -> Array:
-    """Return poses (N, 4, 4), every other one reoriented where other orientations are calibrated.
+    """Poses (N, 4, 4), every other one reoriented where other orientations are calibrated.
 
-    They distinguish a reflector that slipped on its mount from a base that moved. A pose that
-    would be out of reach keeps its orientation.
+    They distinguish a slipped reflector from a moved base. A pose that would be out of reach keeps
+    its orientation.
     """
     tilt_deg = calibration.validity.orientation_tolerance_deg
     if not tilt_deg > ORIENTATION_TOLERANCE_DEG:

@@ -1,10 +1,10 @@
-"""How well the robot returns to poses, and whether it still does.
+"""Repeatability of the robot, and whether it has changed.
 
-Repeated visits give the error floor below which no compensation can go (ISO 9283 RP). Poses are
-re-visited after the grid, so that nothing is built on a robot that changed meanwhile: vertices, and
-the base frame's outermost poses, since which the mount must not have slipped; and at the end of the
-run, so that the robot is still the calibrated one. After the grid a few vertices are approached
-from above as well, which shows the joints' lost motion.
+Repeated visits give the error floor of any compensation (ISO 9283 RP). Poses are re-visited after
+the grid, so that nothing is built on a changed robot: vertices, and the base frame's outermost
+poses, which detect a slipped mount; and at the end of the run, so that the robot is still the
+calibrated one. After the grid a few vertices are approached from above as well, which shows the
+joints' lost motion.
 """
 
 from __future__ import annotations
@@ -85,7 +85,6 @@ class Repeatability:
         session.close_step()
 
     def result(self, log: Log) -> Result:
-        """Return RP of ISO 9283 as measured and of the robot alone, and the floor."""
         found = Repeated(rp_mm=rp_mm(log), rp_robot_mm=rp_robot_mm(log), floor_mm=floor(log).mean)
         return {"repeatability": found}
 
@@ -106,9 +105,8 @@ def _visits(log: Log) -> list[list[Point]]:
 
 
 def distances_mm(log: Log) -> Array:
-    """Return the distance of each visit from its place's mean, all places together (N,).
-
-    The mean of n visits scatters too, so distances are grown by sqrt(n / (n - 1)).
+    """Distance of each visit from its place's mean, all places together (N,). The mean of n visits
+    scatters too, so distances are multiplied by sqrt(n / (n - 1)).
     """
     clouds_mm = [positions_mm(place) for place in _visits(log)]
     return np.concatenate(
@@ -117,19 +115,17 @@ def distances_mm(log: Log) -> Array:
 
 
 def rp_mm(log: Log) -> float:
-    """Return RP = mean + 3 s of the distances, all places together (ISO 9283, 7.2.2).
-
-    One place has too few visits for a figure of its own: three places make the standard's 30,
-    and half of them on a quick plan.
+    """RP = mean + 3 s of the distances, all places together (ISO 9283, 7.2.2). One place has too
+    few visits: three places make the standard's 30, and half of them on a quick plan.
     """
     return repeatability_mm(distances_mm(log))
 
 
 def rp_robot_mm(log: Log) -> float:
-    """Return RP less the tracker's noise; 0 where the noise explains all.
+    """RP less the tracker's noise; 0 where the noise explains all.
 
-    Mean squares subtract: that of the distances less that of the readings, which the tracker
-    states as standard deviations. Distances are taken to keep the shape of their distribution.
+    Mean squares subtract: that of the distances less that of the readings, as the tracker states
+    them. Distances are assumed to keep the shape of their distribution.
     """
     points = [point for place in _visits(log) for point in place]
     share = 1.0 - float(variances_mm2(points).sum(axis=1).mean()) / rms(distances_mm(log)) ** 2
@@ -175,10 +171,6 @@ class Revisits:
         return PlannedStep.of_spans(self.name, len(joints_rad), spans)
 
     def perform(self, session: CellSession) -> None:
-        """Visit, judge, and pause an attended run where something has changed.
-
-        Once more where something was measured since that the visits are to prove.
-        """
         cell, log = session.cell, session.log
         station, poses = cell.reference, visits(cell, self._kind)
         T_W_B = session.frames.base_in_world(station)
@@ -234,10 +226,8 @@ class Revisits:
 
 
 def visits(cell: Cell, kind: str) -> list[Visit]:
-    """Return the poses in their order.
-
-    After the grid, the base frame's come first, and the first few vertices are approached from
-    above next, where the joints' limits let them.
+    """Poses in their order. After the grid, the base frame's come first, and the first few vertices
+    are approached from above next, where the joints' limits allow it.
     """
     vertices_mm = grid_of(cell).serpentine_mm()
     joints_rad = joints_for(cell, vertices_mm)
@@ -268,10 +258,8 @@ def suspicion_words(result: Result) -> str:
 
 
 def judge_suspicions(session: CellSession) -> None:
-    """Journal the run's suspicions.
-
-    A change since the current calibration is a verdict of its own: the operator decides which
-    calibration is right.
+    """Journal the run's suspicions. A change since the current calibration is a separate verdict:
+    the operator decides which calibration is right.
     """
     found, before = suspected_causes(session.log), session.log.inputs.floor_before
     suspected = [each.text for each in found if each.cause is not Cause.CHANGED_SINCE]

@@ -1,14 +1,13 @@
 """The data of the correction: the robot's error on a grid, and at chosen poses beside it.
 
-The grid's vertices are visited at one station (section 5.2, Fig 11). Of many candidates, the chosen
-poses are those that make the predicted errors in the cube certain soonest, by what is known of the
-robot after grid and sweeps; positions and the tool's turn are free. They end when the predicted
-bound is low enough.
+The grid's vertices are visited at one station (section 5.2, Fig 11). The chosen poses are those of
+many candidates that lower the predicted bound in the cube fastest, given grid and sweeps, with free
+position and orientation, until it is low enough.
 
-Everything is linear and Gaussian about what is known: poses and places of the volume are rows of
-the identification, and measuring a pose changes the parameters' covariance by a known amount
-before it is measured (I-optimal design: least mean variance of the predictions; Pukelsheim 2006,
-"Optimal Design of Experiments", chapter 9). Greedy: each pose is the best one after those before.
+Everything is linear and Gaussian: poses and positions of the volume are rows of the identification,
+and a measurement changes the parameters' covariance by a known amount beforehand (I-optimal design:
+least mean variance of the predictions; Pukelsheim 2006, "Optimal Design of Experiments", chapter
+9). Greedy: each pose is the best one after those before.
 """
 
 from __future__ import annotations
@@ -47,9 +46,8 @@ Vertex = tuple[PointId, Array, Array, Array]
 
 
 class RobotGrid(Step):
-    """Visits the vertices in serpentine order, every axis from below, and records the joints.
-
-    An outlier among its neighbours is measured once more; the retake counts.
+    """Visits the vertices in serpentine order, every axis from below, and records the joints. An
+    outlier among its neighbours is measured once more; the second measurement counts.
     """
 
     name = "robot-grid"
@@ -251,8 +249,8 @@ def _evenly_spread(count: int, dimensions: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """M positions: their derivatives by P parameters (M, 3, P), and what else they scatter by,
-    ``noise_mm2`` (M, 3, 3).
+    """M positions: derivatives by P parameters (M, 3, P), and additional scatter ``noise_mm2`` (M,
+    3, 3).
     """
 
     by_parameter: Array
@@ -297,9 +295,8 @@ class Design:
 def design(
     candidates: Rows, volume: Rows, covariance: Array, *, bound_mm: float, counts: tuple[int, int]
 ) -> Design:
-    """Return the poses to measure until the mean bound over the volume is at most ``bound_mm``.
-
-    Or until more of them would gain little; but between the least and the most of ``counts``.
+    """Poses to measure until the mean bound over the volume is at most ``bound_mm``. Or until more
+    of them would gain little; but between the least and the most of ``counts``.
     """
     count = len(volume.by_parameter)
     rows = volume.by_parameter.reshape(-1, volume.by_parameter.shape[-1])

@@ -1,15 +1,16 @@
 """{S} at every station from nests on the slide, and a comparison with {B}'s repeatability.
 
-Section 4.2, eqs 14-17, Figs 7 and 8. All nests averaged, best fit: the lever arm to the tool
-multiplies every angle. The station's frame and the reference's both carry noise, and both count.
-Distances between nests do not depend on any frame: a nest that has moved against the others is
-found by them, and left out. Points that change places in a symmetry of the body keep every
-distance, so distances identify a body only together with each point's rough expected position.
-Both rest on the noise that all readings of the run show: the spread of a few readings says little.
+Section 4.2, eqs 14-17, Figs 7 and 8. Best fit of all nests, averaged: the lever arm to the tool
+multiplies every angle. The noise of both frames, the station's and the reference's, counts.
 
-To compare the frames, six slide points are measured apart from those that build them; at every
-station they are expressed in the base frame built there and in the station frame built there. Both
-should see them where they were at the reference.
+Distances between nests depend on no frame: a nest that has moved against the others shows in them,
+and is left out. A symmetry of the body keeps every distance, so distances identify a body only
+together with rough expected positions. Both use the noise of all readings of the run: the spread of
+a few says little.
+
+To compare the frames, six slide points are measured apart from those that build them, and expressed
+at every station in the base frame and in the station frame built there: both should give their
+positions at the reference.
 """
 
 from __future__ import annotations
@@ -81,7 +82,6 @@ class StationFrames:
         return PlannedStep.of_spans(self.name, len(stations) * nest_points(cell), spans)
 
     def perform(self, session: CellSession) -> None:
-        """Frame the grid's station first: its slide points define {S}."""
         for station in self._stations(session.cell):
             frame_station(session, station)
         session.reach("frame_stations")
@@ -190,10 +190,8 @@ def slide_in_world_mm(log: Log, station: Station) -> Array:
 
 
 def station_fit(log: Log, station: Station) -> RigidFit:
-    """Return the fit of T_W_S.
-
-    At the reference eqs 14-16 on its first three nests define {S}; elsewhere {S} is the best fit
-    of all nests that have not moved to where they were in the reference's {S}.
+    """Fit of T_W_S. At the reference eqs 14-16 on its first three nests define {S}; elsewhere {S}
+    is the best fit of all unmoved nests to their positions in the reference's {S}.
     """
     at_reference_mm = slide_in_world_mm(log, log.cell.reference)
     T_S_W = inverse(three_point_frame(*at_reference_mm[:3]))
@@ -338,8 +336,8 @@ class FrameRepeatability:
 
     @staticmethod
     def _moved_mm(log: Log, kind: str) -> dict[str, list[float]]:
-        """Return by station how far the six points are from their places at the reference (mm),
-        seen in its ``kind`` of frame: "base" or "station".
+        """Distances of the six points from their places at the reference (mm) by station, in
+        ``kind``, "base" or "station".
         """
         reference_mm = FrameRepeatability._seen_from(log, kind, log.cell.reference)
         return {
@@ -414,11 +412,11 @@ class Moved:
 
 
 def moved_points(a_mm: Array, b_mm: Array, covariances_mm2: Array, sigmas: float = SIGMAS) -> Moved:
-    """Return which of the points (N, 3), measured as ``a`` and later as ``b``, moved on their body.
+    """Which of the points (N, 3), measured as ``a`` and later as ``b``, moved on their body.
 
-    ``covariances_mm2`` (N, 3, 3) are those of each pair's difference, axes of b. Where they are
-    estimates, ``sigmas`` is the factor of the same risk (`coverage_factor`). The point with the
-    most excess in its distances to the others is taken away until all distances agree.
+    ``covariances_mm2`` (N, 3, 3): of each pair's difference, axes of b. Where they are estimates,
+    ``sigmas`` is the factor of the same risk (`coverage_factor`). The point with the most excess in
+    its distances to the others is removed until all distances agree.
     """
 
     def apart_mm(points_mm: Array) -> Array:

@@ -1,12 +1,12 @@
 """Before work at a station: its base frame on this visit, for corrected programs.
 
 {W} comes from the floor nests, so the tracker may have another position than in the calibration.
-The calibration is written again with the touched base of the station; `hilcell compensate` takes it
-like any other. It is valid until the slide moves.
+The calibration is written again with the touched base, for `hilcell compensate`, and is valid until
+the slide moves.
 
-To touch, the robot moves its reflector to a few corrected targets, which measure the strip's slip
-of this visit. Later commands on this visit use the base from these; the targets' positions in {W}
-are those defined before. A validation touches its stations, too.
+The robot moves its reflector to a few corrected targets, which measure the strip's slip of this
+visit. Later commands on this visit use that base; the targets' positions in {W} stay as defined
+before. A validation touches its stations, too.
 """
 
 from __future__ import annotations

@@ -203,7 +203,7 @@ class Validate:
     def _command(
         session: CellSession, station: Station, how: Sent, poses: Array, model: ErrorModel | None
     ) -> Array:
-        """Return the poses (N, 4, 4) in {B} to send, for those of the station frame's {B}.
+        """Poses (N, 4, 4) in {B} to send, for those of the station frame's {B}.
 
         The targets' positions in {W} are fixed before the visit. The paper takes the robot's base
         from three slide points, the chosen model from the touch poses of this visit.
@@ -244,8 +244,8 @@ class Validate:
 
     @staticmethod
     def _verified_after(cell: Cell) -> tuple[Sent, ...]:
-        """Return the series after which the tracker is verified: all, or the last of each station
-        in a quick plan or with a reflector carried by hand.
+        """Series after which the tracker is verified: all; in a quick plan or with a reflector
+        carried by hand the last of each station.
         """
         return (Sent.CHOSEN,) if cell.plan.quick or cell.layout.by_hand else tuple(Sent)
 

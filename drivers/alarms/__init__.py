@@ -1,1 +1,1 @@
-"""The alarms of the drivers, one TOML file each; found by the entry point ``hilcell.alarms``."""
+"""Alarms of the drivers, one TOML file each; the entry point ``hilcell.alarms`` names them."""

@@ -1,6 +1,6 @@
 """One CAN bus with its background threads: receiving, and the PC's heartbeat.
 
-python-can's Notifier dies silently with the first error of its bus. Here the first error is kept,
+python-can's Notifier dies silently with the first error of its bus. Here the first error is stored,
 the heartbeat ends with it (so that the drive stops itself), and every use of the link raises it. A
 link is never repaired: connect builds a new one.
 """
@@ -24,11 +24,10 @@ from hilcell.ports import Clock, DeviceError, LinkStatistics
 
 
 class LinkTime:
-    """The time of a link; written by the receiving thread alone, read by any.
+    """The time of a link; written by the receiving thread only, read by any.
 
-    A PC that was busy finds its own deadline passed and the answer, which came in time, still
-    unread. So this time advances only when all that has arrived was handed out, and a pause of the
-    PC counts as `PAUSE_S` at most.
+    A busy PC may pass its own deadline with the answer arrived but unread. So this time advances
+    only when all that arrived was handed out, and a pause of the PC counts as `PAUSE_S` at most.
     """
 
     PAUSE_S = 0.1
@@ -40,12 +39,12 @@ class LinkTime:
         self.counted_s = time.monotonic()
 
     def emptied(self, now_s: float, pc_s: float) -> None:
-        """Note that all that had arrived at ``now_s`` (monotonic), ``pc_s``, was handed out."""
+        """All that had arrived at ``now_s`` (monotonic), ``pc_s``, was handed out."""
         self._count(now_s)
         self.emptied_s = pc_s
 
     def behind(self, now_s: float) -> None:
-        """Note that more waits to be handed out; one second of that counts as a pause."""
+        """More waits to be handed out; one second of that counts as a pause."""
         if now_s - self.counted_s > self.BEHIND_S:
             self._count(now_s)
 
@@ -77,11 +76,11 @@ def open_bus(interface: str, channel: str, bitrate: int) -> can.BusABC:
 
 
 class LinkLost(DeviceError):
-    """The gateway or the bus under the link is gone; this link cannot be used again."""
+    """The gateway or the bus of the link failed; the link cannot be used again."""
 
 
 class _Network(canopen.Network):
-    """canopen's network, whose SDO client then also fails as a device does."""
+    """canopen's network, whose SDO client fails as a device does."""
 
     def __init__(
         self, bus: can.BusABC, check: Callable[[], None], fail: Callable[[Exception], None]
@@ -123,11 +122,9 @@ class CanLink:
         self.network.subscribe(cob_id, callback)
 
     def send(self, cob_id: int, data: bytes) -> None:
-        """Send a frame from any thread; raises `LinkLost`."""
         self.network.send_message(cob_id, data)
 
     def check(self) -> None:
-        """Raise `LinkLost` when the link is lost."""
         if self._failure:
             raise LinkLost(
                 "HC-R01",

@@ -1,12 +1,11 @@
-"""Objects, states, words and error codes of CiA 301, 402 and 406. Nothing here does I/O.
+"""Objects, states, words and error codes of CiA 301, 402 and 406; no I/O.
 
 The trap: bit 10 "target reached" and bit 12 keep their value from the motion before, so a motion
 has ended only when the set-point was acknowledged in between and the slide is at rest. A velocity
-of zero does not show that either: a servo that holds a position dithers (`drivers.slide`).
+of zero does not show that: a servo that holds a position dithers (`drivers.slide`).
 
-A strip's measuring step is an array on some makes and a plain value on others, in nanometres
-(multiples of 0.001 um). Error codes are those of EMCY messages (CiA 301, table 26) and of drives
-(CiA 402-2, annex).
+A strip's measuring step is an array on some makes and a plain value on others, in nm. Error codes:
+EMCY (CiA 301, table 26) and drives (CiA 402-2, annex).
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ class NodeState(IntEnum):
 
 
 def state_text(state: int | None) -> str:
-    """Return a state as a heartbeat carries it with its name; None: no heartbeat yet."""
+    """Name of a state as a heartbeat carries it; None: no heartbeat yet."""
     if state is None:
         return "not heard"
     known = {each.value: each.name.lower().replace("_", "-") for each in NodeState}

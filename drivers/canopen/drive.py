@@ -1,9 +1,9 @@
 """The sequencer of a CiA 402 drive: power, homing, profile position; everything by PDO and SYNC.
 
 canopen's BaseNode402 is not used: it drops the drive to "no mode" by its empty RPDO buffer,
-re-enables it behind a fault reset, and takes bits left by the last motion for this one's. A
-simulated cell may run faster than any clock, so a motion's planned duration is counted on the
-cell's clock (`drivers.supervision`).
+re-enables it behind a fault reset, and takes bits left by the last motion for this one's. A planned
+duration counts on the cell's clock (`drivers.supervision`), because a simulated cell may run faster
+than real time.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class Drive:
         return now
 
     def _mode_by_sdo(self) -> int:
-        """Return 6061h; as with a PDO, only several lost answers in a row end a motion."""
+        """6061h; as with a PDO, only several lost answers in a row end a motion."""
         try:
             self._mode, self._unanswered = self._sdo.read(Object.MODE_DISPLAY, tries=1), 0
         except Aborted:
@@ -183,10 +183,8 @@ class Drive:
             until(expected, lambda now: self._arrived(now, target), planned_s, at_rest=True)
 
     def _homes(self, before: Snapshot, now: Snapshot) -> bool:
-        """Whether homing has begun, or has ended already within one poll.
-
-        Bit 12 "homing attained" may still be set from an earlier homing. Then it must be reset, or
-        the position must change.
+        """Whether homing has begun, or has ended already within one poll. Bit 12 "homing attained"
+        may still be set from an earlier homing: it must be reset, or the position must change.
         """
         stale = before.has(Bit.ACKNOWLEDGED) and now.has(Bit.ACKNOWLEDGED)
         return not stale or abs(now.position - before.position) > self._limits.window
@@ -233,7 +231,6 @@ class Drive:
         at_rest: bool = False,
     ) -> Snapshot:
         """Poll by SYNC until ``done``; raises where neither that nor progress comes in time.
-
         ``planned_s``, in cell time, bounds a motion that makes progress.
         """
         stall_s = self.STALL_S + self._limits.windows.dwell_s * at_rest
@@ -316,8 +313,8 @@ class Drive:
     def _check_limit(self, operation: str, before: Snapshot, target: int) -> None:
         """Refuse a motion towards the limit switch on which the slide is.
 
-        Homing to a switch ends on it. Status bit 11 does not tell the switches apart: 60FDh
-        does, and without it the end of the travel at which the slide is.
+        Homing to a switch ends on it. Status bit 11 does not distinguish the switches: 60FDh does,
+        and without it the end of the travel at which the slide is.
         """
         if not before.has(Bit.INTERNAL_LIMIT):
             return
@@ -338,9 +335,8 @@ class Drive:
         return side or int(now.position >= limits.highest - near)
 
     def _at_switch(self, now: Snapshot) -> bool:
-        """Whether the slide is at a limit switch other than the one that it leaves.
-
-        Status bit 11 may also be a limit of current or speed: 60FDh shows whether it is a switch.
+        """Whether the slide is at a limit switch other than the one that it leaves. Status bit 11
+        may also be a limit of current or speed: 60FDh shows whether it is a switch.
         """
         if not now.has(Bit.INTERNAL_LIMIT):
             return False
@@ -371,7 +367,7 @@ class Drive:
 
 
 def _cause(now: Snapshot, *, moving: bool) -> tuple[str, str]:
-    """Return why a drive does not move on, by its status word, and what to do."""
+    """Why a drive does not move on, by its status word, and what to do."""
     if moving:
         return "", "check the slide for an obstacle and the drive, then resume"
     if not now.has(Bit.VOLTAGE_ENABLED):

@@ -1,13 +1,13 @@
-"""The bounds of one slide, and the guards of one motion: its speed and its scale.
+"""Bounds of one slide, and guards of one motion: its speed and its scale.
 
-The unit of 606Ch and 6081h is a setting of the drive (CiA 402-2, 60A9h, or its maker's own). A
+The unit of 606Ch and 6081h is a setting of the drive (CiA 402-2, 60A9h, or its maker's own): a
 drive in rpm or in 0.1 counts/s moves at another speed than ordered and reports it back as right.
-The positions (6064h) and the time do not depend on that unit.
+Positions (6064h) and time do not depend on that unit.
 
-The time of a position is unknown. By the cell's clock it was before the end of its poll, and after
-the poll before, or after the one before that where a frame came twice. So every duration is an
-interval, and so is every speed: a PC that polls late widens it. The largest step counts as the next
-largest: homing sets a new reference, and a reference may be lost.
+A position was sampled before the end of its poll, and after the poll before, or the one before that
+where a frame came twice. So durations and speeds are intervals: a PC that polls late widens them.
+The largest step counts as the next largest: homing sets a new reference, and a reference may be
+lost.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Limits:
         return f"{counts / self.counts_per_mm:.3f} mm"
 
     def travel_s(self, distance: float) -> float:
-        """Return how long a motion over ``distance`` is planned to take, from rest to rest."""
+        """Planned duration of a motion over ``distance``, from rest to rest."""
         peak = min(self.speed, math.sqrt(abs(distance) * self.acceleration))
         return abs(distance) / peak + peak / self.acceleration if peak else 0.0
 
@@ -94,9 +94,8 @@ class SpeedBounds:
 
     @classmethod
     def of(cls, since_s: Array, until_s: Array, position: Array, speed: Array) -> SpeedBounds:
-        """Return the bounds by polls, arrays (n,): each taken between ``since_s`` and ``until_s``.
-
-        ``speed`` is signed, by the drive; units are the caller's.
+        """Bounds by polls, arrays (n,): each taken between ``since_s`` and ``until_s``. ``speed``
+        is signed, by the drive; units are the caller's.
         """
         steps, size = np.diff(position), np.abs(speed)
         forward = speed * np.sign(speed[-1])
@@ -157,7 +156,7 @@ class SpeedGuard:
             self._bounds = SpeedBounds.of(*np.array(self._polls, dtype=float).T)
 
     def contradiction(self) -> Speeds | None:
-        """Return the speeds of a window in which 606Ch contradicts the positions; else None."""
+        """Speeds of a window in which 606Ch contradicts the positions, or None."""
         if (found := self._bounds) is None:
             return None
         most = found.fastest + self._acceleration * (found.between_s / 2 + self.FASTER_LAG_S)
@@ -168,7 +167,7 @@ class SpeedGuard:
         return self._speeds(found, ~agree)
 
     def overspeed(self) -> Speeds | None:
-        """Return the speeds of a window in which the positions prove overspeed; else None."""
+        """Speeds of a window in which the positions prove overspeed, or None."""
         if (found := self._bounds) is None:
             return None
         allowed = np.full_like(found.gone, OVERSPEED * self._speed)
@@ -179,7 +178,7 @@ class SpeedGuard:
         return margin_mm * self._units_per_mm + speed * duration_s
 
     def _speeds(self, found: SpeedBounds, where: NDArray[np.bool_]) -> Speeds | None:
-        """Return the mean speeds of the longest window ``where`` a bound is broken; else None."""
+        """Mean speeds of the longest window ``where`` a bound is broken, or None."""
         if not where.any():
             return None
         longest = int(np.argmax(where))

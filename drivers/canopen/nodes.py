@@ -1,11 +1,9 @@
-"""Nodes of the rail's buses: identities, settings, and the frames that they send unasked.
+"""Nodes of the rail's buses: identities, settings, and unsolicited frames.
 
-A node sends its heartbeat, its boot-up and its emergencies (CiA 301, 7.2.8 and 7.2.7). One that was
-reset is back within a second with its settings lost. Only its boot-up frame shows it, so one that
-comes once the node is being set up is a failure.
-
-A node may acknowledge a setting and not keep it, so every object is read back; the ones that stop
-the slide when the PC dies (1016h, 6007h, 605Ah, 6085h) matter most.
+Heartbeat, boot-up and emergencies: CiA 301, 7.2.8 and 7.2.7. A node that was reset is back within a
+second with its settings lost, and only its boot-up frame shows it: during and after set-up this is
+a failure. A node may acknowledge a setting and not store it, so every object is read back; those
+that stop the slide when the PC dies (1016h, 6007h, 605Ah, 6085h) matter most.
 """
 
 from __future__ import annotations
@@ -36,18 +34,15 @@ GENERIC, COMMUNICATION = 1 << 0, 1 << 4  # of the error register, 1001h
 
 
 def has_sensor_error(register: int) -> bool:
-    """Whether an error register (1001h) has errors other than of communication.
-
-    The generic bit comes with each error; the other bits depend on the maker.
+    """Whether an error register (1001h) has errors other than of communication. The generic bit
+    comes with each error; the other bits depend on the maker.
     """
     return register not in (0, COMMUNICATION, GENERIC | COMMUNICATION)
 
 
 class NodeMonitor:
-    """Listens to one node; ``check`` raises the first thing that went wrong.
-
-    Emergencies of the family ``in_pdo`` repeat a PDO, or set `sensor_fails` where no PDO has the
-    alarms: neither is a failure here.
+    """Listens to one node; ``check`` raises the first failure. Emergencies of the family ``in_pdo``
+    repeat a PDO, or set `sensor_fails` where no PDO has the alarms: neither is a failure here.
     """
 
     HEARTBEAT_AGE_S = 1.0  # of link time
@@ -129,7 +124,7 @@ class Expected:
 
 
 class Node(NodeMonitor):
-    """A node as it is set up: its identity, its objects, and what it sends unasked."""
+    """A node in set-up: its identity, its objects, and its unsolicited frames."""
 
     def __init__(
         self,
@@ -148,9 +143,8 @@ class Node(NodeMonitor):
         return identify(self.sdo, self._expected, self._device_type(), address)
 
     def _device_type(self) -> int:
-        """Return 1000h as soon as the node answers; raises `DeviceError` after `FIND_S`.
-
-        A lost link is raised at once as `LinkLost`.
+        """1000h as soon as the node answers; raises `DeviceError` after `FIND_S`. A lost link is
+        raised at once as `LinkLost`.
         """
         link, expected = self._link, self._expected
         deadline_s = link.time.listened_s + FIND_S
@@ -193,10 +187,7 @@ class Node(NodeMonitor):
         self._link.send(NMT, bytes((command, self.number)))
 
     def set_heartbeat(self, bitrate: int) -> None:
-        """Have it send its heartbeat as often as the PC does, or as it can.
-
-        Raises `Unsupported`.
-        """
+        """Set the heartbeat period to the PC's, or the nearest possible; raises `Unsupported`."""
         expected_ms = round(1000 * heartbeat_period_s(bitrate))
         refusals = []
         for period_ms in (expected_ms, 100, 200):  # several within the limit of a node's silence
@@ -286,11 +277,11 @@ def set_up_drive(sdo: SdoChannel, limits: Limits, pc_node: int, homing_mm_s: flo
 
 
 def set_quick_stop(sdo: SdoChannel, acceleration: int) -> None:
-    """Let a drive stop on a ramp that is as steep as that of its motions; raises `Unsupported`.
+    """Set a stop ramp as steep as that of motions; raises `Unsupported`.
 
-    Steeper ones of its quick stop (6085h) stay. A drive without that object stops on the ramp of
-    its motions, where it can be asked to. One that does not brake in a fault is detected when it
-    does not come to rest.
+    Steeper quick-stop ramps (6085h) stay. A drive without that object stops on the ramp of its
+    motions, where this can be set. One that does not brake in a fault is detected because it does
+    not come to rest.
     """
     held, ramp = sdo.read_if_present(Object.QUICK_STOP_DECELERATION), Option.QUICK_STOP_RAMP
     if held is None and sdo.offer(Object.QUICK_STOP_OPTION, 0, Option.SLOW_DOWN_RAMP) is None:

@@ -1,12 +1,12 @@
 """The rail's process image: readings of drive and strip at one SYNC, and the drive's commands.
 
-A PDO is mapped by SDO and read back (CiA 301, 7.5.2). A received PDO has no time of
-sampling. So all are synchronous, and a reading counts only when every one of them came after the
-SYNC that asked for it. On a slow gateway the answer to an earlier SYNC may still be in transit: it
-is awaited, and does not count.
+PDOs are mapped by SDO and read back (CiA 301, 7.5.2). A received PDO has no sampling time, so all
+are synchronous, and a reading counts only when each came after the SYNC that requested it. On a
+slow gateway the answer to an earlier SYNC may still be in transit: it is awaited, and does not
+count.
 
-The trap: a stop from another thread must not be undone by a control word that the worker was just
-about to send. Both pass one lock; after a quick stop no word that enables the drive goes out.
+The trap: a stop from another thread must not be undone by a control word that the worker is about
+to send. Both pass one lock; after a quick stop no word that enables the drive is sent.
 """
 
 from __future__ import annotations
@@ -173,9 +173,8 @@ class Inbox:
         )
 
     def _await(self, sent: int, before: dict[int, int], check: Callable[[], None]) -> bool:
-        """Return whether a SYNC of this refresh was answered, one behind the ``sent`` ones.
-
-        Answers that were owed ``before`` have come by `REPLY_S` after the last frame, or are lost.
+        """Whether a SYNC of this refresh was answered, one behind the ``sent`` ones. Answers owed
+        from ``before`` have come by `REPLY_S` after the last frame, or are lost.
         """
         began_s = self._link.time.listened_s
         while True:
@@ -249,8 +248,7 @@ class ProcessImage:
         strip: Pdo | None = None,
     ) -> None:
         """``read_strip`` returns the strip's counts and alarms, of a SYNC's values by identifier.
-
-        ``strip`` is its PDO on this bus; without one it is asked, with a check for each wait.
+        ``strip``: its PDO on this bus; None: it is queried, with a check for each wait.
         """
         self._link, self._read_strip = link, read_strip
         self._lock = threading.Lock()
@@ -288,9 +286,8 @@ class ProcessImage:
         return len(self.motion.objects) > 1
 
     def control(self, controlword: int, target: int | None = None) -> None:
-        """Send a control word, with the target position in counts where it matters.
-
-        Raises `DeviceError` for one that enables the drive by a reading that is too old.
+        """Send a control word, with the target position in counts where it matters. Raises
+        `DeviceError` for one that enables the drive by a reading that is too old.
         """
         age_s = self._link.clock.pc_s() - self._taken_s
         if cia.enables(controlword) and not age_s <= self.COMMAND_AGE_S:

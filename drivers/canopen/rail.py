@@ -1,8 +1,7 @@
 """The rail: a CiA 402 drive and a CiA 406 magnetic-strip sensor on one CANopen bus.
 
-Moves and readings go by PDO and SYNC, settings by SDO. The drive knows the position at its encoder
-only; the strip, read at rest, decides where the slide is. This driver returns both, and the closed
-loop above it decides.
+Moves and readings by PDO and SYNC, settings by SDO. The drive knows the position at its encoder
+only; the strip, read at rest, decides where the slide is, in the closed loop above this driver.
 """
 
 from __future__ import annotations
@@ -155,8 +154,8 @@ class CanopenRail:
             return self._set_up(self._link)
 
     def home(self) -> None:
-        """Home to the negative limit switch (6098h = 17); the drive then reads 0, or where its
-        ramp has ended behind the edge.
+        """Home to the negative limit switch (6098h = 17); the drive then reads 0, or the end of its
+        ramp behind the edge.
         """
         options, drive = self._options, self._used()
         past_mm = HOMING_SLOW_MM_S**2 / options.acceleration_mm_s2  # twice the ramp
@@ -300,8 +299,8 @@ class Release:
     counts as held only when its positions are at rest for a dwell, or where they were before.
 
     A drive that has missed the PC's heartbeat brakes by itself and leaves OPERATIONAL (CiA 301,
-    1029h). It then sends and obeys no PDO, but it answers SDO: the same values are read and the
-    same control words are written by SDO.
+    1029h). It then ignores PDOs but answers SDO: the same values are read and the same control
+    words are written by SDO.
     """
 
     RELEASE_S = 5.0  # wire deadline, beside two dwells

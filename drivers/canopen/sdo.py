@@ -1,7 +1,7 @@
 """SDO to one node (CiA 301, 7.2.4): typed by its EDS, one at a time, stop-aware.
 
 After a timeout canopen hands the late reply to the next request of the same object. So a channel
-that missed a reply is tainted: it waits, drops late replies, asks something else, and believes a
+that missed a reply is tainted: it waits, drops late replies, asks something else, and accepts a
 value only when it reads twice the same. A node that answers each of several questions twice is two
 nodes with one number.
 """
@@ -96,7 +96,7 @@ class _Client(SdoClient):
             return response
 
     def abort(self, abort_code: int = 0x08000000) -> None:
-        """Abort the transfer; canopen's own also prints on a screen that is not its to use."""
+        """Abort the transfer; canopen's own also prints on the screen."""
         self.send_request(struct.pack("<BHBL", 0x80, 0, 0, abort_code))  # type: ignore[no-untyped-call] # canopen's
 
 
@@ -122,9 +122,8 @@ class SdoChannel:
         node.sdo = self._client
 
     def read(self, index: int, sub: int = 0, *, tries: int = TRIES) -> int:
-        """Return the value as the EDS types it; raises `Aborted` or `DeviceError`.
-
-        A shorter integer is the same number; one that does not fit the type is no answer.
+        """Value as the EDS types it; raises `Aborted` or `DeviceError`. A shorter integer is the
+        same number; one that does not fit the type is no answer.
         """
         variable = self._object(index, sub)
 
@@ -180,19 +179,18 @@ class SdoChannel:
     def require(
         self, index: int, sub: int, value: int, what: str, *, optional: bool = False
     ) -> None:
-        """Write a setting that the device must take, and ``what`` it is for.
+        """Write a setting that the device must accept; ``what`` is its purpose.
 
-        It may lack one that is ``optional``. Raises `Unsupported` where it refuses, `DeviceError`
-        where it does not keep it.
+        An ``optional`` one may be missing. Raises `Unsupported` where it refuses, `DeviceError`
+        where it does not store it.
         """
         refusal = self.offer(index, sub, value)
         if refusal is not None and not (optional and refusal.abort_code in ABSENT):
             raise Unsupported(refusal, f"{_name(index, sub)} = {value} ({what})")
 
     def command(self, index: int, sub: int, value: int) -> str:
-        """Write what the device obeys at once; its state shows whether it did.
-
-        Return the operation's text; raises `Aborted` or `DeviceError`.
+        """Write what the device obeys at once; its state shows whether it did. Return the
+        operation's text; raises `Aborted` or `DeviceError`.
         """
         operation = f"write {_name(index, sub)}"
         data = self._object(index, sub).encode_raw(value)
@@ -307,6 +305,6 @@ def open_channel(link: CanLink, node: int, eds: str, check: Callable[[], None]) 
 
 @cache
 def _objects(eds: str, node: int) -> ObjectDictionary:
-    """Return what a file describes; it is read once, so that the end of a session reads none."""
+    """Content of a file, cached so that the end of a session reads none."""
     with resources.as_file(resources.files("drivers.canopen") / "eds" / eds) as path:
         return import_od(str(path), node)

@@ -1,9 +1,9 @@
-"""A serial-line CAN gateway (slcan) that survives bad lines and a PC that is busy.
+"""A serial-line CAN gateway (slcan) that survives bad lines and a busy PC.
 
 python-can's own class loses its receiver to one byte >= 0x80 or one malformed line, takes a
-truncated frame for a short one, and calls a write that was late, but complete, an error. A stop
-must get out while another thread waits for the port. So no thread holds a lock while it waits:
-lines wait in one queue, and the thread that finds the port ready sends.
+truncated frame for a short one, and reports a late but complete write as an error. A stop must get
+out while another thread waits for the port: lines wait in one queue, no thread holds a lock while
+it waits, and the thread that gets the port ready sends.
 """
 
 from __future__ import annotations
@@ -52,10 +52,10 @@ _FRAME = re.compile(
 
 
 class SlcanBus(can.BusABC):
-    """An slcan bus; counts the lines that were bad and the frames that the gateway refused.
+    """An slcan bus; counts bad lines and frames refused by the gateway.
 
-    ``bad_line`` is the last that was bad. The constructor raises `can.CanInitializationError`
-    where the gateway refuses the bit rate or to open.
+    ``bad_line``: the last bad one. The constructor raises `can.CanInitializationError` where the
+    gateway refuses the bit rate or to open.
     """
 
     SEND_S = 0.2  # of a port that takes nothing; time in which this PC did nothing does not count
@@ -81,8 +81,7 @@ class SlcanBus(can.BusABC):
         self._is_shutdown = False
 
     def _open_channel(self, bitrate: int) -> None:
-        """Close the channel, set its bit rate and open it, one command behind the other's answer.
-
+        """Close the channel, set its bit rate and open it, each command after the other's answer.
         An answer does not name its command; a closed channel may refuse to be closed.
         """
         self._put(b"\rC\r")
@@ -175,9 +174,8 @@ class SlcanBus(can.BusABC):
         )
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send a frame with an 11-bit identifier; raises `can.CanOperationError`.
-
-        A port that takes nothing for `SEND_S` (or ``timeout``) is an error, not a wait.
+        """Send a frame with an 11-bit identifier; raises `can.CanOperationError`. A port that takes
+        nothing for `SEND_S` (or ``timeout``) is an error, not a wait.
         """
         line = f"t{msg.arbitration_id:03X}{msg.dlc}{bytes(msg.data).hex().upper()}\r"
         self._put(line.encode(), self.SEND_S if timeout is None else timeout)

@@ -1,12 +1,11 @@
-"""The wire to a KUKA controller and its program hilcell, and the states that work needs of both.
+"""The wire to a KUKA controller and its program hilcell, and their common states.
 
-While a motion is in progress the program ``hilcell.src`` runs a timer of the controller up to zero;
-there it brakes, latches like HC_STOP, and drops the command. The PC sets the timer back with each
-heartbeat. A heartbeat comes only from the thread that supervises the motion: an engine that hangs
-sends none.
+During a motion the program ``hilcell.src`` runs a timer of the controller up to zero; there it
+brakes, latches like HC_STOP, and drops the command. The PC sets the timer back with each heartbeat,
+from the thread that supervises the motion only: an engine that hangs sends none.
 
 The trap: KUKAVARPROXY drops a client after 30 s without a request, and a stop sent over a dropped
-connection is lost. So a thread asks something harmless of idle connections.
+connection is lost. So a thread sends a harmless request over idle connections.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ class ControllerLink:
 
     @contextmanager
     def _in_flight(self, operation: str) -> Iterator[None]:
-        """Have the connection for one request and its answer; raises `DeviceError`."""
+        """Take the connection for one request and its answer; raises `DeviceError`."""
         with self._lock:
             if self._dead:
                 raise self._link.broken(operation, self._dead)
@@ -53,10 +52,10 @@ class ControllerLink:
 
     @contextmanager
     def _unheard(self) -> Iterator[None]:
-        """Have the connection for a request whose reply is not awaited.
+        """Take the connection for a request whose reply is not awaited.
 
-        A request in flight is given a moment to end, because some servers lose a second one that
-        arrives in the same segment; then the bytes go out all the same.
+        A request in flight gets a moment to end, because some servers lose a second one that
+        arrives in the same segment; then the bytes are sent anyway.
         """
         held = self._lock.acquire(timeout=0.05)
         self._link.reply_pending = True
@@ -101,11 +100,9 @@ class Controller(Protocol):
     def has(self, name: str) -> bool:
         """Whether the controller lets a variable be read."""
 
-    def value(self, name: str) -> krl.Value:
-        """Return a single value; raises `DeviceError`."""
+    def value(self, name: str) -> krl.Value: ...
 
-    def numbers(self, name: str, components: tuple[str, ...]) -> list[float]:
-        """Return components of a structure; raises `DeviceError`."""
+    def numbers(self, name: str, components: tuple[str, ...]) -> list[float]: ...
 
     def text(self, name: str) -> str:
         """Return a text, cleaned."""
@@ -135,9 +132,8 @@ class Controller(Protocol):
         """Lower $OV_PRO so that the controller itself knows its old value."""
 
     def restore_override(self) -> None:
-        """Restore an override that was lowered, unless it has been changed meanwhile.
-
-        The robot must be at rest.
+        """Restore an override that was lowered, unless it has been changed meanwhile. The robot
+        must be at rest.
         """
 
     def ignoring_stop(self) -> AbstractContextManager[Controller]:
@@ -238,9 +234,8 @@ def frame_text(values: tuple[float, ...] | list[float]) -> str:
 
 
 class KeepAlive:
-    """Asks something of every connection that has been idle for `IDLE_S`.
-
-    The thread stores a failure; the next use of the device raises it.
+    """Sends a request over every connection that has been idle for `IDLE_S`. The thread stores a
+    failure; the next use of the device raises it.
     """
 
     IDLE_S = 8.0  # of a connection, which is then asked something

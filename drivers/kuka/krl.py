@@ -1,9 +1,8 @@
 """KRL values as text: ``{E6AXIS: A1 0.0, A2 -90.0, ...}``, ``#EX``, ``TRUE``, ``100``, ``"text"``.
 
-No variable that is read here nests structures, so single values and flat structures are enough.
-
-A controller with another locale, or a stale interface, answers ``1,234`` or ``NaN``. Only finite
-numbers with a decimal point are taken; anything else is refused, never guessed.
+Only single values and flat structures are read. A controller with another locale, or a stale
+interface, answers ``1,234`` or ``NaN``: everything except finite numbers with a decimal point is
+refused, never guessed.
 """
 
 from __future__ import annotations

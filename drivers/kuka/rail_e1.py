@@ -1,8 +1,8 @@
 """The rail whose drive is external axis E1 of its robot, with a strip on a wire of its own.
 
-The robot's driver moves the slide, over its one connection; this driver holds what makes a rail of
-it: readings of drive and strip together, standstill over a dwell, the travel. E1 is absolute, so
-``home`` moves nothing: it requires that the axis is mastered and that the strip agrees.
+The robot's driver moves the slide; this driver adds readings of drive and strip together,
+standstill over a dwell, and the travel. E1 is absolute, so ``home`` moves nothing: it requires that
+the axis is mastered and that the strip agrees.
 """
 
 from __future__ import annotations

@@ -1,16 +1,14 @@
 """A KUKA robot and its resident program ``krl/hilcell.src``, over any wire that reaches both.
 
-The PC hands over a target and a number; the program moves and acknowledges with that number. An
-acknowledgement alone does not suffice: motion has ended only when the number is this command's, the
-axes are at the target and two polls, more than a cycle of the controller apart, read the same:
-within one cycle a robot at full speed reads the same twice, and one that holds still flickers in
-the last digit. Joints are the measured ones where the controller has them: the ordered ones stay
-while a brake slips.
+The PC sends a target and a number; the program moves and acknowledges with that number. Motion has
+ended only when the number is this command's, the axes are at the target and two polls, more than a
+cycle of the controller apart, read the same: within one cycle a robot at full speed reads the same
+twice, and one at rest flickers in the last digit. Joints are the measured ones where the controller
+has them: the ordered ones stay while a brake slips.
 
-Where the controller moves the slide, too, as external axis E1, the program moves it alone (HC_CMD
-2), and only while HC_HELD is FALSE; motions of the arm carry the place at which E1 is held. So one
-sequence of commands, one sign of life and one stop serve both, and the program's timer brakes the
-slide as it brakes the arm when the PC dies.
+As external axis E1 the slide moves alone (HC_CMD 2), and only while HC_HELD is FALSE; motions of
+the arm carry the held position of E1. So one sequence of commands, one heartbeat and one stop serve
+both, and the program's timer brakes both when the PC dies.
 """
 
 from __future__ import annotations
@@ -167,9 +165,8 @@ class KukaRobot:
             self._watch.stop()
 
     def read(self) -> RobotReading:
-        """Return a reading asked for after this call began.
-
-        Its time is that of the question: no part of the answer is older.
+        """A reading requested after this call began. Its time is that of the request: no part of
+        the answer is older.
         """
         self.wire().check()
         taken_s = self._clock.pc_s()
@@ -258,9 +255,8 @@ class KukaRobot:
         self._slide_free = False
 
     def _judged_speed(self, allowed_mm_s: float) -> float:
-        """Return where the slide is; judge the least speed that two polls of its motion allow for.
-
-        From before the earlier question to after the later answer, so a late answer is no speed.
+        """Position of the slide; judge the least speed that two polls of its motion allow for. From
+        before the earlier request to after the later answer, so a late answer is no speed.
         """
         before_s, (place_mm, _) = self._clock.now_s(), self._slide_wire().slide()
         seen, after_s = self._slide_seen, self._clock.now_s()
@@ -331,7 +327,7 @@ class KukaRobot:
             )
 
     def _reset_stop(self) -> None:
-        """The reset edge: only a new connection takes a stop back, and nothing moves by it."""
+        """The reset edge: only a new connection resets a stop, and nothing moves by it."""
         controller = self.wire()
         controller.refresh()
         if controller.has_lowered_override():  # by a dead engine, whose sweep is braked first
@@ -439,9 +435,8 @@ class KukaRobot:
         return self._rest_deg
 
     def acknowledged(self, number: int) -> bool:
-        """Whether a motion has ended; raises `DeviceError` where it was stopped, or refused.
-
-        Each poll is a heartbeat for the program.
+        """Whether a motion has ended; raises `DeviceError` where it was stopped, or refused. Each
+        poll is a heartbeat for the program.
         """
         self._check_stopped()
         self.wire().heartbeat()
@@ -490,12 +485,12 @@ class KukaRobot:
 
 
 class KukaSweep:
-    """Satisfies `hilcell.ports.Sweep`: one axis turned slowly, with its joints read meanwhile.
+    """Satisfies `hilcell.ports.Sweep`: one axis moves slowly while its joints are read.
 
-    Speed is HC_VEL (1 to 100 % of an axis) times $OV_PRO, which a sweep lowers: so an axis turns at
-    1/10000 of its speed, too. $OV_PRO stays lowered when the PC dies. So the controller remembers
-    its old value (HC_OV_OLD) and the lowered one (HC_OV_SET); every exit of a sweep and every
-    connect restore it, at rest only, and only unless it has been changed meanwhile.
+    Speed is HC_VEL (1 to 100 % of an axis) times $OV_PRO, which a sweep lowers: down to 1/10000 of
+    an axis' speed. $OV_PRO stays lowered when the PC dies, so the controller stores its old value
+    (HC_OV_OLD) and the lowered one (HC_OV_SET); every exit of a sweep and every connect restore it,
+    at rest only, and only unless it has been changed meanwhile.
     """
 
     PROGRESS_DEG = 0.002
@@ -611,9 +606,8 @@ class KukaSweep:
 
     @staticmethod
     def split_speed(share: float, override: int) -> tuple[int, int]:
-        """Return HC_VEL and $OV_PRO whose product is the next to a share of full speed from below.
-
-        The operator's ``override`` is never raised; of equal ones the highest is taken.
+        """HC_VEL and $OV_PRO whose product is the next to a share of full speed from below. The
+        operator's ``override`` is never raised; of equal ones the highest is taken.
         """
         expected = share * 100**2 * (1.0 + 1e-9)
         pairs = [
@@ -632,10 +626,10 @@ def await_rest(
     *,
     closing: bool = False,
 ) -> None:
-    """Wait until the program has taken the stop and no axis moves; also while a stop is on.
+    """Wait until the program has accepted the stop and no axis moves; also while a stop is on.
 
-    ``closing`` writes the stop again at each poll, for the one whose reply was not awaited may be
-    lost, and asks for the axes alone.
+    ``closing`` writes the stop again at each poll, since an unacknowledged one may be lost, and
+    reads the axes only.
     """
     before, pause = np.full(len(names), np.inf), threading.Event()
     for _ in polls(BRAKED_S):

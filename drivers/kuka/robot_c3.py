@@ -3,8 +3,8 @@
 C3 Bridge Interface Protocol 1.5, big-endian. Request ``tag u16, length u16 of the rest, type u8,
 name length u16, name`` and, to write, ``value length u16, value``; reply ``tag, length, type, value
 length, value, error u16, ok``. The two servers fill the error field differently, so only the last
-byte says success. A reply that comes after its deadline would answer the next question, so tags are
-compared and a connection that missed a reply is never used again.
+byte shows success. A reply after its deadline would answer the next request, so tags are compared
+and a connection that missed a reply is never used again.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class C3Connection(ControllerLink):
         self._exchange("write", name, value)
 
     def write_without_reply(self, name: str, value: str) -> None:
-        """Write without waiting for the reply; the connection is good for nothing afterwards."""
+        """Write without waiting for the reply; the connection is unusable afterwards."""
         with self._unheard():
             self._link.send(encode(self._next_tag(), name, value), f"write {name}")
             self._dead = f"{name} was written without waiting for its reply"

@@ -2,20 +2,18 @@
 
 The controller is the server of two channels. Its submit program ``eki_krl/hilcell_eki.src`` answers
 each command of the first with its state, also while the robot moves or its program is halted, and
-brakes by the second; motions are made by ``krl/hilcell.src``, as with `drivers.kuka.robot_c3`.
-The commands of the thread that supervises a motion are heartbeats.
+brakes by the second; motions are made by ``krl/hilcell.src``, as with `drivers.kuka.robot_c3`. The
+commands of the thread that supervises a motion are heartbeats.
 
-Nothing on the wire states a length: a document ends with the closing tag of its root. Each command
-carries all values, because EthernetKRL has a queue for each value, and one that is left out
-shifts all that follow. Each answer is a state of the controller, with the Id of the command that it
-answers: motions have ids above 0, all other commands below. Only Finished_Id shows that a motion
-has ended. An answer to an earlier command may come late, or before the one that is awaited: it is
-never used.
+No length on the wire: a document ends with the closing tag of its root. Each command carries all
+values, because EthernetKRL has a queue for each value, and a missing one shifts all that follow.
+Each answer is a state with the Id of its command: motions have ids above 0, all other commands
+below. Only Finished_Id shows that a motion has ended. An answer to an earlier command may come
+late, or before the awaited one: it is never used.
 
-A state is a flat document of elements with attributes, perhaps after `<?xml ..?>`, which adds
-nothing. So no document type, entity or comment is ever needed: a document that has one is
-refused before it is parsed. Controllers differ in capitals, and in booleans:
-TRUE, FALSE or 0, 1.
+A state is a flat document of elements with attributes, perhaps after `<?xml ..?>`: a document type,
+entity or comment is refused before parsing. Controllers differ in capitals, and in booleans: TRUE,
+FALSE or 0, 1.
 """
 
 from __future__ import annotations
@@ -351,8 +349,8 @@ class EkiController(Controller):
         return place_mm, self.value("HC_HELD") is True
 
     def heartbeat(self) -> None:
-        """Have the next command be a heartbeat; others are none, so that a motion brakes whose
-        engine has died while this one asks for states.
+        """Make the next command a heartbeat; others are none, so that a motion brakes whose engine
+        has died while this one polls states.
         """
         self._life_ms = self.LIFE_MS
 

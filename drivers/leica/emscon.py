@@ -5,8 +5,7 @@ reply: the reply to "start measurement" comes at once, the result later as a pac
 status changes between them, two packets in one segment or one over two.
 
 Settings belong to the tracker, not to the connection: they are written, read back, and read again
-where another client changed them. The tracker notifies all its clients of a change, but not
-of the value.
+after a change by another client, of which the tracker notifies without the value.
 """
 
 from __future__ import annotations
@@ -364,9 +363,8 @@ class EmsconSettings:
         self.expect(setting, *values)
 
     def expect(self, setting: Setting, *values: float) -> None:
-        """Refuse a setting that does not read as these values, and keep them.
-
-        Lengths are converted from and to the tracker's own unit, so their last digits may differ.
+        """Refuse a setting that does not read as these values, and store them. Lengths are
+        converted from and to the tracker's own unit, so their last digits may differ.
         """
         found = self._numbers_of(setting.read, setting.layout)
         self._changes.difference_update(setting.changes)  # our own; the reading is newer

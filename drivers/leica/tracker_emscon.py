@@ -1,9 +1,8 @@
 """A Leica laser tracker over emScon TPI (TCP 700).
 
-The trap: results carry no number. One that comes late, after its beam broke or its time was up,
-would pass for the next point. So pending results are dropped before each start, a measurement that
-failed is stopped and the stop awaited, two results to one start are no reading, and a result far
-from the expected place is refused.
+The trap: results carry no number, so a late one could pass for the next point. Pending results are
+dropped before each start, a failed measurement is stopped and the stop awaited, two results to one
+start are no reading, and a result far from the expected place is refused.
 """
 
 from __future__ import annotations
@@ -211,9 +210,8 @@ class LeicaEmsconTracker:
         self.settings.expect(Setting.FACE, face)
 
     def _first_face(self) -> None:
-        """Turn back a tracker that an engine before this one left in its second face.
-
-        Older controllers do not report their face.
+        """Turn back a tracker that an earlier engine left in its second face. Older controllers do
+        not report their face.
         """
         answer = self._request(Setting.FACE.read)
         if answer.status or not answer.body:
@@ -417,9 +415,9 @@ class LeicaEmsconTracker:
 class EmsconStream:
     """Satisfies `hilcell.ports.Stream`: continuous time mode, samples by the tracker's own clock.
 
-    Packets come late, cut and together, so a sample's time is only the one inside it. The mode
-    belongs to the tracker, not to the connection: it is put back to stationary on every exit,
-    and by the next connect after a kill.
+    Packets come late, cut and together, so only the time inside a sample counts. The mode belongs
+    to the tracker, not to the connection: every exit restores stationary mode, and after a kill the
+    next connect.
     """
 
     SLOWEST_HZ, FASTEST_HZ = 0.1, 1000.0

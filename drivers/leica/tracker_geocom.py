@@ -1,13 +1,13 @@
 """A Leica total station over GeoCOM: a serial line, or TCP 1212. It measures at rest only.
 
-The trap: the instrument keeps its last distance, and an answer may come after it was given up. So
-the distance is cleared before each start, every request has a number of its own, and an answer to
-a request that was given up is dropped; one to no request at all ends the connection. A line has no
-check sum: a reading with fewer places than were set has lost a character, or a zero at its end.
+The trap: the instrument stores its last distance, and an answer may come after its timeout. So the
+distance is cleared before each start, every request has a number of its own, and an answer to an
+abandoned request is dropped; one to no request at all ends the connection. A line has no check sum:
+a reading with fewer decimals than set has lost a character, or a zero at its end.
 
-``%R1Q,<procedure>,<transaction>:<parameters>`` asks, and is answered by
-``%R1P,<communication code>,<transaction>:<return code>[,values]``. Lengths are metres, angles
-radians; Hz turns clockwise seen from above, V is zero at the zenith.
+``%R1Q,<procedure>,<transaction>:<parameters>`` is answered by ``%R1P,<communication
+code>,<transaction>:<return code>[,values]``. Lengths are metres, angles radians; Hz is clockwise
+from above, V is zero at the zenith.
 """
 
 from __future__ import annotations
@@ -381,9 +381,8 @@ class LeicaGeocomTracker:
         self._ask(Rpc.DO_MEASURE, self.CLEAR, self.AUTOMATIC_TILT)
 
     def _set_checked(self, what: str, write: Rpc, read: Rpc, *expected: float) -> None:
-        """Write a setting where it reads differently, and believe it only when it reads back.
-
-        Newer instruments take the prism at their keyboard only: one that is right is left alone.
+        """Write a setting where it reads differently, and read it back. Newer instruments accept
+        the prism at their keyboard only: a right one is left alone.
         """
         found = self._numbers(read, len(expected))
         refusal = ""
@@ -443,7 +442,7 @@ class LeicaGeocomTracker:
         return xyz_mm
 
     def _measured(self) -> Reply:
-        """Return angles and a new distance, which reading it makes an old one."""
+        """Angles and a new distance; reading it makes it an old one."""
         options = self._options
         for program in (self.CLEAR, self.DISTANCE):
             self._ask(Rpc.DO_MEASURE, program, self.AUTOMATIC_TILT)

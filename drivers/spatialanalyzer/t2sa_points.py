@@ -1,11 +1,10 @@
 """Points for SpatialAnalyzer: ``python -m drivers.spatialanalyzer.t2sa_points CELL FILE``.
 
-T2SA measures points of a job by their names: the tracker turns to the point's nominal position and
-searches from there. So the job has a list of points, written as a CSV file of ``name,x,y,z`` (mm,
-tracker's frame), and the driver measures a place through the point whose direction is nearest to
-the place's: how far away the point is does not turn the tracker. Their directions form a grid over
-all that the cell's reflectors can reach, so fine that no place there is farther from the aim than
-the search reaches, at any range of the tracker. Each point lies amid the places in its direction.
+T2SA measures points of a job by their names: the tracker points at the nominal position and
+searches from there. The job has a list of points, a CSV file of ``name,x,y,z`` (mm, tracker's
+frame), and the driver measures a place through the point nearest in direction; range does not
+matter. The directions form a grid over the reach of the cell's reflectors, finer than the search
+radius at any range. Each point lies amid the places in its direction.
 """
 
 from __future__ import annotations

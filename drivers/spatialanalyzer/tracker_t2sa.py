@@ -1,18 +1,15 @@
 """A laser tracker behind SpatialAnalyzer, by its bridge T2SA over TCP: API's trackers, and others.
 
-The bridge measures points of SpatialAnalyzer's job by their names. So the job holds a grid of
-named points (`t2sa_points`), and a place is measured through the one nearest in direction.
+The bridge measures named points of SpatialAnalyzer's job, a grid (`t2sa_points`): a place is
+measured through the one nearest in direction. Requests are ``!COMMAND:values`` or
+``?QUESTION:values``, with semicolons. Every request has one reply, ``ACK-300 text`` or ``ERR-305
+text``; older versions write ``ERR-305: text``. A position is ``result x,y,z`` or ``result:
+X:x;Y:y;Z:z``, after the point's name and before a date in the PC's own format.
 
-Requests are ``!COMMAND:values`` or ``?QUESTION:values``; values are separated by semicolons. Every
-request has one reply, ``ACK-300 text`` or ``ERR-305 text``; older versions write ``ERR-305: text``.
-A position stands in the text as ``result x,y,z`` or ``result: X:x;Y:y;Z:z``, after the point's
-name and before a date in the PC's own format.
-
-The traps: a result may be no measurement. That of an instrument which SpatialAnalyzer simulates, an
-old one and one in inches look like a good one; each is recognised by its values. And replies have
-no number, so that a late one looks like the next one's. After a measurement without a reply the
-bridge must confirm a halt, and then answer a question of another kind; after any other silence, and
-after a stop, the connection is not used any more.
+The traps: a result of a simulated instrument, an old one and one in inches look like a good one;
+each is recognised by its values. Replies have no number, so a late one looks like the next one's:
+after a measurement without a reply the bridge must confirm a halt, and then answer a request of
+another kind; after any other silence, and after a stop, the connection is not used any more.
 """
 
 from __future__ import annotations

@@ -1,17 +1,13 @@
 """URScript programs: poses read and corrected, and the program of a station written.
 
 Corrected are the poses of ``movej`` and ``movel`` that the program states as six numbers, or in a
-variable that is assigned once and used by motions alone. Every other statement must be one that is
-known neither to move the robot nor to change its TCP; all else is refused, by line. Poses are those
-of the TCP in the robot's base {B}; URScript knows no other base.
+variable that is assigned once and used by motions only. Every other statement must be known neither
+to move the robot nor to change its TCP; all else is refused, by line. Poses are those of the TCP in
+the robot's base {B}. A statement is a line without its comment, its strings blanked, with the
+columns of its line, so that numbers are replaced byte for byte. Names are case sensitive.
 
-A statement is a line without its comment and with the texts of its strings blanked. It keeps the
-columns of its line, so that a number can be replaced and all else stays byte for byte. Names are
-case sensitive.
-
-A written program moves by joints of the cell's arm, as they were commanded when the cell was
-calibrated: the controller would compute the joints of a pose by its own kinematics, which its
-factory has calibrated.
+A written program moves by joints of the cell's arm, as commanded in the calibration: the controller
+would compute the joints of a pose by its own factory-calibrated kinematics.
 """
 
 from __future__ import annotations
@@ -145,9 +141,8 @@ class Target:
 class Program(programs.Program):
     """The text of a file, its targets in the order of their first motion, and remarks on them.
 
-    Whole turns do not matter: the controller moves to the nearest joints.
-
-    ``tcp`` is the pose that the program sets, in m and rad, if it sets one.
+    Revolutions do not matter: the controller moves to the nearest joints. ``tcp``: the pose that
+    the program sets, in m and rad, or None.
     """
 
     file: str
@@ -182,8 +177,8 @@ class Program(programs.Program):
         return [each[1:] for each in quiet if each.startswith("#")]
 
     def with_positions(self, positions: Array, remark: str = "") -> dict[str, bytes]:
-        """Return the file by its name, with other X, Y, Z (N, 3), or poses (N, 6), in {B}, and a
-        remark below its first statement; nothing else differs.
+        """The file by its name, with other X, Y, Z (N, 3), or poses (N, 6), in {B}, and a remark
+        below its first statement.
         """
         edits = list[Edit]()
         if remark:

@@ -1,9 +1,9 @@
 """A robot of Universal Robots by RTDE and a script of ours, ``script/hilcell.script``.
 
 The script is sent once. The PC then writes a target and a number into registers; the script moves
-and acknowledges with that number. An acknowledgement alone does not suffice: motion has ended only
-when the joints are at the target and a dwell's packages show no speed and no spread. Every
-package that comes meanwhile is judged. A PC that dies sends no heartbeat, and the script brakes.
+and acknowledges with that number. Motion has ended only when the joints are at the target and a
+dwell's packages show no speed and no spread. Every package meanwhile is judged. A PC that dies
+sends no heartbeat, and the script brakes.
 """
 
 from __future__ import annotations
@@ -450,10 +450,10 @@ def at_rest(states: Sequence[UrState]) -> bool:
 
 
 class UrSweep:
-    """Satisfies `hilcell.ports.Sweep`: one axis turned slowly, with its joints read meanwhile.
+    """Satisfies `hilcell.ports.Sweep`: one axis moves slowly while its joints are read.
 
-    The script multiplies the ordered speed by the speed slider at the panel: a slider that
-    is moved meanwhile ends the sweep.
+    The script multiplies the ordered speed by the speed slider at the panel: a slider that is moved
+    meanwhile ends the sweep.
     """
 
     SLOWEST_RAD_S = 1e-4
@@ -550,11 +550,10 @@ class UrSweep:
 class Release:
     """The end of a session: our script has ended and the arm is at rest, and both are confirmed.
 
-    It polls without the run's clock, which no longer waits after a stop. A stop that was sent
-    guarantees nothing: the dashboard may refuse it, be busy, or have closed an idle connection long
-    ago, and a register may not be read. So fresh packages are judged, and the stop is sent again
-    over all wires until they show rest. It sends no heartbeat: a script that does not read the
-    stop either still brakes a motion by itself.
+    It polls without the run's clock, which no longer waits after a stop. A sent stop guarantees
+    nothing: the dashboard may refuse it, be busy, or have closed an idle connection, and a register
+    may not be read. So fresh packages are judged, and the stop is sent again over all wires until
+    they show rest. It sends no heartbeat: a script that does not read the stop brakes by itself.
     """
 
     RELEASE_S = 5.0  # wire deadline: a brake (stopj, 2 rad/s2) from full speed, 3 s to standstill

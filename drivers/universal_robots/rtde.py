@@ -1,17 +1,16 @@
 """The wires to a controller of Universal Robots: RTDE (states in, registers out) and dashboard.
 
 RTDE is big-endian. Package ``size u16 of the whole, type u8, payload``. A recipe names the fields
-of data packages once; from then on they carry its number and the values in its order. The
-controller answers a field that it lacks with NOT_FOUND, an input that another client holds with
-IN_USE.
+of data packages once; then they carry its number and the values in its order. The controller
+answers a missing field with NOT_FOUND, an input of another client with IN_USE.
 
-Integer registers 24 .. 27 and float registers 24 .. 30 are those of ``script/hilcell.script``. It
-reads no input register 28, which numbers the questions for a fresh state: a state shows what was
-written last, so one with the number of a question was taken after it.
+Integer registers 24 .. 27 and float registers 24 .. 30 are those of ``script/hilcell.script``.
+Input register 28 numbers the requests for a fresh state: a state with the number of a request was
+taken after it.
 
 The controller sends a package at every cycle and drops those that no client fetches. The thread
-that asks for a state fetches them; at other times a thread here empties the buffer. A package that
-waited in a buffer, or on its way, is not fresh.
+that requests a state fetches them; at other times a thread here empties the buffer. A package that
+waited in a buffer, or in transit, is not fresh.
 """
 
 from __future__ import annotations
@@ -515,8 +514,8 @@ class UrLink:
 class Dashboard:
     """A connection to the dashboard server: one line asks, one line answers.
 
-    It greets each connection with a line. It moves nothing; ``stop`` ends the running program, and
-    the robot brakes. Call ``ask`` from one thread, ``send`` from any.
+    It greets each connection with a line. ``stop`` ends the running program, and the robot brakes.
+    Call ``ask`` from one thread, ``send`` from any.
     """
 
     ANSWER_S = 3.0

@@ -1,1 +1,1 @@
-"""The alarms of the simulated cell; found by the entry point ``hilcell.alarms``."""
+"""Alarms of the simulated cell; the entry point ``hilcell.alarms`` names them."""

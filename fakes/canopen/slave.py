@@ -1,10 +1,10 @@
 """A simulated CANopen node: dictionary, SDO, PDO, NMT, SYNC, heartbeat both ways, EMCY (CiA 301).
 
-A device is a subclass of `CanopenSlave` that fills the object dictionary and overrides the three
-hooks `written`, `switched_off` and `connection_lost`. One thread calls everything.
-Heartbeats and event timers run in real time, independent of cell time, and no heartbeat is
-punctual. A lost heartbeat takes the node out of OPERATIONAL by itself (1029:01 = 0) and is latched:
-a new master must start it again, and a START before its first new heartbeat does not hold.
+A device is a subclass of `CanopenSlave` that fills the object dictionary and overrides the hooks
+`written`, `switched_off` and `connection_lost`. One thread calls everything. Heartbeats and event
+timers run in real time, and no heartbeat is punctual. A lost heartbeat takes the node out of
+OPERATIONAL (1029:01 = 0) and is latched: a new master must start it again, and a START before its
+first new heartbeat has no lasting effect.
 """
 
 from __future__ import annotations
@@ -124,7 +124,6 @@ class ObjectDictionary:
             self.add(index, sub, entry)
 
     def entry(self, index: int, sub: int) -> Entry:
-        """Return an object; raises `SdoAbortError`."""
         no_such_subindex = 0x06090011
         if (index, sub) not in self._entries:
             known = (index, 0) in self._entries
@@ -138,7 +137,6 @@ class ObjectDictionary:
         self._entries[index, sub].value = value
 
     def restore(self, indices: range) -> None:
-        """Put the values of ``indices`` back to those at power-on."""
         for key, value in self._defaults.items():
             if key[0] in indices:
                 self._entries[key].value = value
@@ -258,11 +256,11 @@ INVALID = 1 << 31
 
 
 class Pdo:
-    """The communication and mapping parameters of one PDO, and the data that they describe.
+    """Communication and mapping parameters of one PDO, and the mapped data.
 
     A mapping may be changed only while the PDO is switched off (bit 31 of its COB-ID) and its count
-    is 0; the count is written last and is where the node judges the whole mapping. Remote frames
-    are not answered, so bit 30 of a COB-ID must stay set (clauses 7.2.2 and 7.5.2.35-38).
+    is 0; the count is written last, where the node judges the whole mapping. Remote frames are not
+    answered, so bit 30 of a COB-ID must stay set (clauses 7.2.2 and 7.5.2.35-38).
     """
 
     NO_RTR = 1 << 30
@@ -305,7 +303,6 @@ class Pdo:
         return [self._mapped(place) for place in self._places_cache[: self._count.number]]
 
     def assemble(self) -> bytes:
-        """Return the present data of the mapped objects."""
         return b"".join(entry.encode() for entry in self.mapped())
 
     def distribute(self, data: bytes) -> bool:

@@ -1,9 +1,9 @@
 """The robot controller: system variables and the resident program hilcell.src, as KRL text.
 
-Values are as KRL writes them: ``{E6AXIS: A1 0.00000, A2 -90.00000}``, ``#EX``, ``TRUE``, ``100``.
+Values as KRL writes them: ``{E6AXIS: A1 0.00000, A2 -90.00000}``, ``#EX``, ``TRUE``, ``100``.
 Joints and poses are the controller's nominal ones, never the truth. The program waits for ``HC_SEQ
 <> HC_ACK``, moves, then sets HC_ERR and HC_ACK. HC_STOP brakes and keeps the program in its
-interrupt until it is FALSE again. So does the watchdog timer of a motion if it reaches zero.
+interrupt until it is FALSE again; so does the watchdog timer of a motion at zero.
 """
 
 from __future__ import annotations

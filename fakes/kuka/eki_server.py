@@ -1,11 +1,9 @@
 """EthernetKRL on a KUKA controller, over TCP, and its submit program hilcell_eki.src.
 
-The interface decomposes documents: each configured value has a queue of its own, so a missing one
-shifts all later ones. The program takes one value of each queue, acts on the variables of the robot
-program hilcell.src, and replies with a state.
-
-Each of the two channels serves one client. The stop channel is polled once in a cycle of the submit
-interpreter, and all data are processed, even after the client has gone. States are sent as
+Each configured value of a document has its own queue, so a missing one shifts all later ones. The
+program takes one value of each queue, acts on the variables of hilcell.src, and replies with a
+state. Each of the two channels serves one client. The stop channel is polled once a cycle of the
+submit interpreter, and all data are processed, even after the client has gone. States are sent as
 `fakes.wires` describes; occasionally the previous one is repeated in one segment with the next.
 """
 

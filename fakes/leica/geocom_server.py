@@ -1,12 +1,10 @@
-"""A robotic total station behind GeoCOM, on TCP or on a pseudo terminal in place of a serial line.
+"""A robotic total station behind GeoCOM, on TCP or a pseudo terminal.
 
 As in the original, lengths are metres and angles radians, Hz is clockwise and V zero at the zenith;
 few decimals are sent by default; a measured distance remains until it is cleared, so a new angle
-may come with an old distance.
-
-Empty lines end half a request and are not answered; ``c`` ends a motion and is answered by ``?``.
-Requests are executed one after another. A serial line has no connection: the next program receives
-an answer for which the previous one did not wait.
+may come with an old distance. Empty lines end half a request and are not answered; ``c`` ends a
+motion and is answered by ``?``. Requests are executed in sequence. A serial line has no connection:
+the next program receives an answer for which the previous one did not wait.
 """
 
 from __future__ import annotations

@@ -1,12 +1,9 @@
-"""The messages of a wire: their ends, and the parts of them that only number an exchange.
+"""Messages of a wire: their ends, and the parts that only number an exchange.
 
-A dialect splits the bytes of both directions into messages, and names those of the driver:
-messages of one name ask the same. ``answer`` puts the number of a new question in the place of the
-recorded one's.
-
-The dialects of a device are found by its driver's name among the entry points
-``hilcell.wire_dialects``: a function of the cell file's options that returns them by the names of
-its wires. A wire of plain lines needs none.
+A dialect splits the bytes of both directions into messages, and names those of the driver: messages
+of one name ask the same. ``answer`` replaces the recorded number by that of a new question. Entry
+points ``hilcell.wire_dialects``, by driver: a function of the cell file's options that returns
+dialects by the names of the wires. A wire of plain lines needs none.
 """
 
 from __future__ import annotations
@@ -74,8 +71,8 @@ class Dialect:
         return b""
 
     def alive(self, asked: bytes) -> list[bytes]:
-        """Return the answers to a driver's sign of life that was never recorded: a short motion
-        needs none, unless the PC is busy. None for any other message.
+        """Answers to a driver's heartbeat that was never recorded, as a short motion may have none.
+        None for any other message.
         """
         return []
 

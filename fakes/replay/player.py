@@ -1,21 +1,18 @@
 """Plays recorded wires: each is a device that listens, and answers by its recorded exchanges.
 
-The driver may ask more or less often than when it was recorded: how often a motion is polled is a
-matter of time. So questions that were asked once only (a motion, a command) are landmarks, which
-divide the recording into parts. In each part a question gets the answers to its name in their
-order, and at last the last one again, or before its first part the first one; one that is asked
-again and again has reached the end of the part. A question that was never recorded gets no answer:
-there this run has left the recorded one.
+The driver may poll more or less often than recorded. So questions that were asked once only (a
+motion, a command) are landmarks, which divide the recording into parts. In each part a question
+gets the answers to its name in order, and at last the last one again, or before its first part the
+first one; a repeated one has reached the end of the part. A question that was never recorded gets
+no answer: there this run has left the recorded one.
 
-The time of the recording passes by what is asked, never by itself. A driver that asks a landmark,
-on whatever wire, is as far as the recorded one was then. So devices of one motion keep in step, as
-a strip and its drive. Between two landmarks the time is that of the last answer, on any wire, or of
-the last reading of the cell's clock, which returns what it returned. Samples of a stream, which are
-not asked for one by one, come when their time has come. So wires that are paired by the clock are
-paired as they were.
+The recording's time passes by questions, never by itself. A driver that asks a landmark, on any
+wire, is as far as the recorded one was then, so devices of one motion stay synchronous. Between two
+landmarks the time is that of the last answer, on any wire, or of the last reading of the cell's
+clock, which returns what it returned. Samples of a stream come at their time.
 
 A device that sends by itself leads the time, but not the clock, which follows what the driver has
-done (``heard_s``): the thread that sends is not in step with the one that asks.
+done (``heard_s``): the thread that sends is not synchronous with the one that asks.
 """
 
 from __future__ import annotations
@@ -76,11 +73,11 @@ class EventTime:
         self._left = self._left or reason
 
     def left(self) -> str:
-        """Return where and why the replay ends; "" while it continues.
+        """Where and why the replay ends; "" while it continues.
 
-        The recording is over where all that was asked was asked, on all wires or on one that was
-        cut, and a wait on the wires brings nothing more. A silence at its end belongs to it: a
-        device that did not answer.
+        It ends where all questions were asked, on all wires or on a cut one, and a wait on the
+        wires brings nothing more. A silence at the end belongs to the recording: a device that did
+        not answer.
         """
         if self._end or self._cuts:
             self._poll()
@@ -153,9 +150,10 @@ class EventTime:
 
 
 class ClockReadings:
-    """The cell's clock as recorded. A reading that was not recorded returns the one before it plus
-    the waits since: no time passes by itself, so that a replay is the same at any pace. After waits
-    that were not recorded all later readings are later, as far apart as they were.
+    """The cell's clock as recorded.
+
+    A reading that was not recorded returns the one before it plus the waits since, so that a replay
+    is the same at any pace. After waits that were not recorded all later readings are shifted.
     """
 
     def __init__(self, time_: EventTime, at_s: Sequence[float], shown_s: Sequence[float]) -> None:
@@ -277,8 +275,8 @@ def landmarks(opened: Sequence[Sequence[Exchange]], dialect: Dialect) -> set[byt
 
 
 class Names:
-    """Names of questions. Two are one whose numbers are near: a target that is computed again from
-    the same answers may differ in its last digits.
+    """Names of questions; equal where their numbers are near. A target computed again from the same
+    answers may differ in its last digits.
     """
 
     NUMBER = re.compile(rb"-?\d{1,9}\.\d{3,}")
@@ -319,13 +317,11 @@ class Script:
         *,
         cut: bool = False,
     ) -> None:
-        """``landmarks`` are the names of questions that part the recording.
+        """``landmarks``: names of questions that divide the recording.
 
-        ``elsewhere`` are what was asked on any connection of the wire: one that is idle for longer
-        than it was is kept alive by such a question.
-
+        ``elsewhere``: questions of any connection of the wire, by which an idle one is kept alive.
         Behind the last question of one that was ``cut``, an earlier answer is not given again; its
-        signs of life go on.
+        heartbeats continue.
         """
         self._recorded, self._dialect, self._time = recorded, dialect, time
         self._landmarks, self._elsewhere = landmarks, elsewhere or {}
@@ -444,11 +440,11 @@ class Script:
 
 
 class Flow(Script):
-    """A connection whose messages come by themselves: those of the last question, in their order.
+    """A connection with unsolicited messages: those of the last question, in order.
 
-    One that came only after the driver had asked elsewhere, or had taken note of an earlier one,
-    waits for that, unless the device is at work. Meanwhile, and at the end, the last one comes
-    again and again. So the messages are as far as the driver, whichever thread runs first.
+    One that came only after the driver had asked elsewhere, or had noted an earlier one, waits for
+    that, unless the device is at work. Meanwhile, and at the end, the last one is repeated. So the
+    messages are as far as the driver, whichever thread runs first.
     """
 
     due_every_s = 0.001
@@ -475,9 +471,9 @@ class Flow(Script):
         return self._order.index(name, self._at) if name in self._order[self._at :] else None
 
     def passed(self) -> None:
-        """Take note of a message that has no part in any exchange, as a question for a fresh state.
+        """Note a message that is part of no exchange, as a request for a fresh state.
 
-        The driver is as far as with the recorded one. One that asks on and on waits for what came
+        The driver is as far as with the recorded one. A driver that repeats it waits for what came
         behind the next question on another wire, which it does not ask.
         """
         next_s = following(self._recorded[self._at].passed_s, self._time.heard_s)

@@ -1,8 +1,7 @@
 """A cell whose devices are recordings of their wires: ``--set simulation.simulator=recorded``.
 
-``simulation.data`` names the folder of a run that was made with ``--record-wire``. First it is
-checked: whether it is whole, and whether this run is the recorded one. Waits of the cell pass at
-once; its clock shows what it showed.
+``simulation.data`` names the folder of a run made with ``--record-wire``, which must be complete
+and of this run. Waits of the cell pass at once; its clock returns what it returned.
 """
 
 from __future__ import annotations
@@ -51,9 +50,8 @@ def sessions(folder: Path) -> list[Path]:
 
 
 def read_run(cell: Cell, session: int = 1) -> tuple[dict[str, Path], dict[str, Sequence[Piece]]]:
-    """Return the files and the pieces of a cell's recorded wires, and of its clock, by their names.
-
-    Raises `SettingsError` where one is missing or not whole, and for those of another cell.
+    """Files and pieces of a cell's recorded wires, and of its clock, by name. Raises
+    `SettingsError` where one is missing or incomplete, and for those of another cell.
     """
     found = sessions(cell_folder(cell))
     if session > len(found):
@@ -154,8 +152,8 @@ def _other_settings(cell: Cell, folder: Path, head: RunHeader) -> Iterator[str]:
 
 
 def _common(cell: Cell) -> Cell:
-    """Return a cell without what another PC may have otherwise: texts of options are addresses,
-    paths and what a device reports of itself at connect.
+    """A cell without what may differ on another PC. Texts of options are addresses, paths and what
+    a device reports of itself at connect.
     """
     tables = {
         table: msgspec.structs.replace(one, options=_figures(one.options))

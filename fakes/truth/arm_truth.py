@@ -5,9 +5,9 @@ and repeatability depend on the joint angles alone. Loads follow from the links'
 gravity, not from the maker's angle convention.
 
 All but ripple, lost motion, repeatability and growth are scaled together, over the machine's own
-reference cube. The error is the paper's: against the base frame built from the circles of axes 1
-and 6 (section 4.2), here without noise. This ideal {B} is not the frame in which the axes are
-drawn; `ideal_base` relates them.
+reference cube, to the paper's error: against the base frame built from the circles of axes 1 and 6
+(section 4.2), here without noise. This ideal {B} is not the frame in which the axes are drawn;
+`ideal_base` relates them.
 """
 
 from __future__ import annotations
@@ -222,11 +222,11 @@ class ArmTruth:
         self._draw(machine.errors, rng)
 
     def pose(self, joints_rad: Array, side: Array, landing_rad: Array, warm_k: float = 0) -> Array:
-        """Return the reflector's frame in {R}, (..., 4, 4).
+        """The reflector's frame in {R}, (..., 4, 4).
 
-        ``joints_rad`` (..., 6) are the controller's, ``side`` (..., 6) the sign of each joint's
-        last motion, ``landing_rad`` (..., 6) this motion's repeatability error, ``warm_k`` how
-        much warmer the arm is than the room's mean.
+        ``joints_rad`` (..., 6): the controller's; ``side`` (..., 6): sign of each joint's last
+        motion; ``landing_rad`` (..., 6): repeatability error; ``warm_k``: of the arm above the mean
+        ambient.
         """
         true_rad = self.true_joints(joints_rad, side, landing_rad)
         return self.reflector_pose(true_rad, self.strain(warm_k))

@@ -1,8 +1,7 @@
 """Noise that depends on the event and its count, never on the time or the thread.
 
-A draw is keyed by the seed, the event ("robot lands on these joints") and how often it occurred
-before. So a run gives the same figures on a slow and on a fast PC, while two visits of one target
-differ.
+A draw is keyed by the seed, the event ("robot lands on these joints") and its count: a run gives
+the same figures on any PC, while two visits of one target differ.
 """
 
 from __future__ import annotations
@@ -77,11 +76,10 @@ class Dither:
 
 
 def readout_noise(key: bytes, poll: int, size: int) -> Array:
-    """Return the last digit of a controller at rest, (size,) between -1 and 1.
+    """The last digit of a controller at rest, (size,) between -1 and 1.
 
-    It changes from poll to poll. ``key`` identifies where and how the robot landed, ``poll`` counts
-    since the program last answered; time has no influence, so a run gives the same figures on any
-    PC.
+    It changes from poll to poll, not with time. ``key``: where and how the robot landed; ``poll``:
+    count since the program last answered.
     """
     digest = hashlib.blake2b(b"%d/%b" % (poll, key), digest_size=size).digest()
     return np.frombuffer(digest, dtype=np.uint8) / 127.5 - 1.0

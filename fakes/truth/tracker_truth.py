@@ -1,12 +1,12 @@
 """The truth of the tracker: its pose, the visible reflectors, its readings, and the air.
 
-Noise along the beam is a length, across it an angle. All positions are in the tracker's frame, mm.
-Cell time between two measurements depends slightly on the PC's speed, so slow drift and air follow
-the number of measurements, each counted as 5 s.
+Noise along the beam is a length, across it an angle. Positions are in the tracker's frame, mm. Cell
+time between two measurements depends slightly on the PC's speed, so slow drift and air follow the
+number of measurements, each counted as 5 s.
 
-A followed reflector is sampled by the tracker's own clock, with an offset and a drift of its own.
-The truth of a sample is the reflector's position at the sample's time, however late it is
-collected. Noise follows the sample's number in its stream.
+A followed reflector is sampled by the tracker's own clock, with its own offset and drift. The truth
+of a sample is the reflector's position at the sample's time, however late it is collected. Noise
+follows the sample's number in its stream.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """KRL as statements of tokens, and the points and frame data that they declare.
 
-A statement is a line; comments, ``&`` headers and a byte order mark at the begin are left out.
-Every token has its position, so that a number can be replaced and all else stays byte for
-byte. ``;`` within a string starts no comment, and names ignore case. Points are aggregates
-``{X 1.0,Y 2.0,...}``.
+A statement is a line; comments, ``&`` headers and a byte order mark are left out. Tokens have
+positions, so that a number can be replaced byte for byte. ``;`` within a string starts no comment,
+and names ignore case. Points are aggregates ``{X 1.0,Y 2.0,...}``.
 
 The trap: a component that an aggregate leaves out keeps its value from the motion before, so that
 such a target is relative in disguise.
@@ -123,7 +122,7 @@ def text_of(tokens: Sequence[Token]) -> str:
 
 
 def quoted(tokens: Sequence[Token]) -> str:
-    """Return tokens as the source has them, for messages; blanks between them are one."""
+    """Source text of tokens, for messages; blanks between them are one."""
     gaps = (" " * (later.start > before.end) for before, later in pairwise(tokens))
     return "".join(gap + token.text for gap, token in zip(("", *gaps), tokens, strict=False))
 
@@ -137,7 +136,7 @@ MOST = {"S": 31, "T": 63}  # five bits of status; one bit of turn for each axis
 
 @dataclass(frozen=True, slots=True)
 class Datum:
-    """One declared value, or one aggregate in a motion: its place and its components."""
+    """One declared value, or one aggregate in a motion: its position and components."""
 
     name: str
     kind: str
@@ -213,10 +212,10 @@ def pose(name: str, fields: Mapping[str, Sequence[Token]]) -> dict[str, Number]:
 
 
 def declared(statement: Statement) -> tuple[str, list[tuple[str, Sequence[Token]]]]:
-    """Return kind, and name and value of each variable that a statement declares.
+    """Kind, and name and value of each variable that a statement declares.
 
-    The kind is empty for what declares no point, axes or frame data; the value is empty where
-    none is given. An array's element is named with its index.
+    The kind is empty for what declares no point, axes or frame data; the value is empty where none
+    is given. An array's element is named with its index.
     """
     tokens = statement.tokens
     while tokens and tokens[0].word in ("DECL", "GLOBAL", "CONST"):
@@ -231,7 +230,7 @@ def declared(statement: Statement) -> tuple[str, list[tuple[str, Sequence[Token]
 
 
 def _assigned(tokens: Sequence[Token]) -> tuple[str, Sequence[Token], Sequence[Token]]:
-    """Return name, index and value of ``NAME[INDEX]=VALUE``, each but the name may be missing."""
+    """Name, index and value of ``NAME[INDEX]=VALUE``, each but the name may be missing."""
     at, index = 1, tokens[:0]
     if len(tokens) > 1 and tokens[1].text == "[":
         end = closing(tokens, 1)

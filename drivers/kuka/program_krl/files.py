@@ -1,8 +1,8 @@
 """Reads a KRL program whose targets can be corrected safely; all else is refused, line by line.
 
-A program is ``NAME.src`` with its ``NAME.dat``. Only absolute motions to points that are
-numbers in it are corrected. A point that the program reads, changes or hands on besides moving to
-it would carry its correction to unchecked places, so that such a program is refused.
+A program is ``NAME.src`` with its ``NAME.dat``. Only absolute motions to points that are numbers in
+it are corrected. A point that is also read, changed or passed on would carry its correction to
+unchecked places: such a program is refused.
 """
 
 from __future__ import annotations
@@ -72,9 +72,8 @@ def load_program(path: Path) -> Program:
 
 
 def read_program(source: str, text: str, data: tuple[str, str] | None) -> Program:
-    """Return the program of a ``.src`` (name, text) and its ``.dat`` (name, text), if it has one.
-
-    Raises `SettingsError` with everything that cannot be corrected safely, by file and line.
+    """Program of a ``.src`` (name, text) and its ``.dat`` (name, text), if it has one. Raises
+    `SettingsError` with everything that cannot be corrected safely, by file and line.
     """
     name, content = data or (source, "")
     found = DataList(name, statements(content)) if data else None
@@ -86,7 +85,7 @@ def read_program(source: str, text: str, data: tuple[str, str] | None) -> Progra
 
 
 class _Surely:
-    """Follows a program's statements and knows which may not be executed before its motions."""
+    """Follows a program's statements: which may not be executed before its motions."""
 
     CONDITIONAL = ("IF", "SWITCH", "WHILE", "FOR")
 
@@ -119,7 +118,7 @@ class _Surely:
 
     @property
     def doubt(self) -> str:
-        """Return why the statement may not be executed before the motions; "" where it is."""
+        """Why the statement may not be executed before the motions; "" where it is."""
         if self.program != self.first:
             return f"in {self.program}, not in {self.first}"
         if self._open:

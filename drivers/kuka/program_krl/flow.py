@@ -1,16 +1,16 @@
 """Every path that a KRL program may take, and what a motion keeps from the motion before it.
 
-A state is passed from a statement to those after it, such as the place of the slide. The program is
-followed through branches, loops, jumps and its own subprograms; conditions are not judged, so that
-a path may be followed that is never taken. Subprograms of interrupts and triggers may run after any
+A state, such as the slide's position, is passed from a statement to those after it, through
+branches, loops, jumps and the program's own subprograms; conditions are not judged, so that a path
+may be followed that is never taken. Subprograms of interrupts and triggers may run after any
 statement.
 
 A component that a motion leaves out keeps its value from the motion before, a home move or another
-to joints included. An external axis, as the slide E1, must be at one place for all targets: a
+to joints included. An external axis, as the slide E1, must have one position for all targets: a
 program is corrected for one station.
 
-Only a motion by joints takes a posture: S of its point, or the joints of a home move. All others
-keep the one that the arm has, whatever S their points state. The bits are those of a status in
+Only a motion by joints sets a posture: S of its point, or the joints of a home move. All others
+keep the arm's, whatever S their points state. The bits are those of a status in
 `hilcell.geometry.inverse`; `Bits.of_joints` derives those that need no arm.
 """
 
@@ -46,7 +46,7 @@ LOOPS = ("FOR", "WHILE", "LOOP", "REPEAT")
 
 
 class _Open(NamedTuple):
-    """A branch or loop that has begun: its word, its place, its parts, and jumps to its end."""
+    """An open branch or loop: its word, position, parts, and jumps to its end."""
 
     word: str
     at: int
@@ -55,10 +55,10 @@ class _Open(NamedTuple):
 
 
 class Flow(Generic[State]):
-    """Follows states through a program's statements by ``step``, which acts on each of them.
+    """Follows states through a program's statements by ``step``, called for each of them.
 
-    Of states with one ``key`` the first stands for all: where each branch gave a state of its own,
-    the paths through 600 branches would be 600 times as many.
+    Of states with one ``key`` the first represents all: otherwise the number of paths through
+    branches would grow exponentially.
     """
 
     DEEPEST = 50  # calls of subprograms within one another: controllers have at most 20
@@ -82,7 +82,6 @@ class Flow(Generic[State]):
 
     def follow(self, begin: State) -> None:
         """Follow the first program, and each that no path from others leads to, from ``begin``.
-
         Raises `KrlError` where subprograms call one another too deeply.
         """
         for name in (*self._entries, *self._blocks):
@@ -193,9 +192,8 @@ class Stop(NamedTuple):
 
 
 class Held(NamedTuple):
-    """An axis' value, and the line of the motion that stated it.
-
-    None of line 0 is stated by no motion yet, None of a line is no longer known from there on.
+    """An axis' value, and the line of the motion that set it. None of line 0: not set by any motion
+    yet; None of a line: unknown from there on.
     """
 
     value: float | None = None
@@ -203,7 +201,7 @@ class Held(NamedTuple):
 
 
 class ExternalRule:
-    """Finds the values of the external axes at each target."""
+    """Determines the values of the external axes at each target."""
 
     def __init__(
         self,
@@ -273,9 +271,8 @@ class ExternalRule:
         ]  # fmt: skip
 
     def slide(self) -> tuple[str, float] | None:
-        """Return the first target where the slide's place is known, and the place, mm.
-
-        One that is no longer known comes first, as not a number.
+        """First target with a known slide position, and that position, mm. One that is no longer
+        known comes first, as NaN.
         """
         found = [
             (self._targets[key], value, line)
@@ -374,13 +371,13 @@ class Relative:
 
 
 class StrokeRule:
-    """Follows a program's statements in their order and knows the robot's last target.
+    """Follows a program's statements in order and tracks the robot's last target.
 
-    ``LIN_REL {X 20} #TOOL`` starts where the robot is, so it takes the correction of the point
-    before it along. That point is only known on a straight path from a motion to a point: not after
+    ``LIN_REL {X 20} #TOOL`` starts at the robot's position, so it carries the correction of the
+    point before it. That point is known only on a straight path from a motion to a point: not after
     a branch, a loop's begin or end, a label or an own subprogram that moves. An own subprogram of
-    nothing but strokes is read at each of its calls. Programs of other files are taken to leave the
-    robot where it was; a note names them.
+    strokes only is read at each of its calls. Programs of other files are assumed to leave the
+    robot in place; a note names them.
     """
 
     def __init__(self, blocks: Mapping[str, Sequence[Statement]], moving: Set[str]) -> None:
@@ -400,9 +397,8 @@ class StrokeRule:
         self._keys, self._shift_mm = keys, (0.0, 0.0, 0.0)
 
     def pass_by(self, statement: Statement) -> list[Relative]:
-        """Take a statement that is no motion; return the strokes of the subprogram it calls.
-
-        Raises `KrlError` as `take` does.
+        """Take a statement that is no motion; return the strokes of the subprogram it calls. Raises
+        `KrlError` as `take` does.
         """
         if statement.head in self._drills:
             return [found for each in self._drills[statement.head] for found in self._from(each)]

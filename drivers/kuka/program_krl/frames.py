@@ -1,18 +1,16 @@
-"""Which base and tool a program's motions work in: one of each, or the program is refused.
+"""Base and tool of a program's motions: one of each, or the program is refused.
 
-Targets are taken in that base; its place is the caller's, {W} for `compensate`. A base is set by
+Targets are in that base; its place is the caller's, {W} for `compensate`. A base is set by
 ``$BASE=``, ``BAS(#BASE,n)`` or the frame data of inline forms, ``FDAT_ACT=FP1`` for all motions
-that follow, ``WITH $BASE=SBASE(FP1.BASE_NO)`` for one. Each of these is either a number of the
-controller's own tables, or a place that the program states: a structure, ``$NULLFRAME``, number 0,
-or a frame of the program's data list, which hides a table of the same name. Home moves bring frame
-data of their own, which count for nothing as long as only home moves use them. Statements that may
-not be executed are refused: within a branch, after a jump, in a subprogram. Here the text's order
-counts; `check_modal` follows the paths through the program.
+that follow, ``WITH $BASE=SBASE(FP1.BASE_NO)`` for one. Each is a number of the controller's tables,
+or a place that the program states: a structure, ``$NULLFRAME``, number 0, or a frame of the
+program's data list, which hides a table of the same name. Frame data used only by home moves are
+ignored. Statements that may not be executed are refused: within a branch, after a jump, in a
+subprogram. Here the text's order counts; `check_modal` follows the paths through the program.
 
-Base and tool stay as they were last set, past the ends of branches, loops and subprograms: a home
-move's frame data at a loop's end hold for the loop's begin, too. ``WITH`` holds for its own motion
-alone, and leaves those beside it where they were. ``BAS(#CP_PARAMS,...)`` and its like set base and
-tool by the frame data that ``FDAT_ACT`` was last set to, whatever was set since.
+Base and tool stay as last set, past the ends of branches, loops and subprograms. ``WITH`` is valid
+for its own motion only. ``BAS(#CP_PARAMS,...)`` and its like set base and tool by the frame data
+that ``FDAT_ACT`` was last set to, whatever was set since.
 """
 
 from __future__ import annotations
@@ -44,8 +42,8 @@ NEVER_SET = ("BASE_DATA", "TOOL_DATA", "$ACT_BASE", "$ACT_TOOL", "$ROBROOT", "$W
 class Stated(NamedTuple):
     """A base or tool that a program sets, and where.
 
-    ``number`` is that of the controller's own table; ``values`` are X, Y, Z in mm and A, B, C in
-    deg where the place is known, by the program's own numbers or as the table's number 0.
+    ``number``: of the controller's own table; ``values``: X, Y, Z in mm and A, B, C in deg where
+    known, by the program's own numbers or as the table's number 0.
     """
 
     line: int
@@ -63,7 +61,7 @@ class Stated(NamedTuple):
 
 
 class Modal(NamedTuple):
-    """Base and tool in force, None as they were before the program, and those of FDAT_ACT."""
+    """Active base and tool, None as before the program, and those of FDAT_ACT."""
 
     base: Stated | None = None
     tool: Stated | None = None
@@ -116,9 +114,8 @@ class FrameRule:
         return not self._set
 
     def take(self, statement: Statement, unsure: str = "") -> None:
-        """Take a statement that is not a motion; ``unsure`` says why it may never be executed.
-
-        Raises `KrlError`.
+        """Take a statement that is not a motion; ``unsure``: why it may never be executed. Raises
+        `KrlError`.
         """
         self._unsure, tokens = unsure, statement.tokens
         self._settings[statement.line] = []

@@ -1,11 +1,11 @@
-"""KRL programs: targets that were read, files with other positions, files of a station.
+"""KRL programs: targets as read, files with other positions, files of a station.
 
-A motion by joints to a point with T goes to the turn that T's bits state: bit i is set where axis
-i + 1 is below zero. The trap: a correction of a millimetre that takes an axis through zero leaves
-the old bit, which then states a place one whole turn away.
+A motion by joints to a point with T goes to the turn of T's bits: bit i is set where axis i + 1 is
+below zero. The trap: a correction of a millimetre that takes an axis through zero leaves the old
+bit, which then means a position one revolution away.
 
-Points of a written station are E6POS with S and T, in the base {W} as calibrated. They state no
-external axes: one that the controller has keeps its place.
+Points of a written station are E6POS with S and T, in the base {W} as calibrated, without external
+axes, which keep their position.
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ USUAL_TOOL = 1  # of a cell that states none in robot.options, as the driver tak
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A point that motions use: its name, its place, its numbers.
+    """A point that motions use: its name, position, and numbers.
 
-    ``posture`` is S where a motion by joints uses it and S and T fix its joints to whole turns,
-    ``status`` S where such a motion uses it.
+    ``posture``: S where a motion by joints uses it and S and T fix its joints to whole revolutions;
+    ``status``: S where such a motion uses it.
     """
 
     name: str
@@ -77,9 +77,9 @@ class Kept(NamedTuple):
 class Program(programs.Program):
     """Texts by file name, targets in the order of their first motion, and remarks on them.
 
-    ``strokes`` start at one of the targets, ``base`` is the one whose place the program states,
-    ``tool`` the one that it sets, ``slide`` the first target at a known E1, and its value, mm,
-    ``kept`` the postures of motions before that targets are reached in.
+    ``strokes`` start at one of the targets; ``base``: the one whose place the program states;
+    ``tool``: the one that it sets; ``slide``: the first target at a known E1, and its value, mm;
+    ``kept``: postures of earlier motions in which targets are reached.
     """
 
     texts: dict[str, str] = field(repr=False)
@@ -108,9 +108,8 @@ class Program(programs.Program):
         return "postures (S)" if self.statuses(0) else ""
 
     def statuses(self, expected: int) -> list[tuple[str, int]]:
-        """Return the targets whose posture the program states, and their S.
-
-        Bits that are not known of a posture that was kept are the ``expected`` ones.
+        """Targets whose posture the program states, and their S. Unknown bits of a kept posture are
+        the ``expected`` ones.
         """
         stated = [(target.where, target.status) for target in self.targets]
         own = [(where, status) for where, status in stated if status is not None]
@@ -164,8 +163,8 @@ class Program(programs.Program):
         return [remark for _, sign, remark in (line.partition(";") for line in lines) if sign]
 
     def with_positions(self, positions: Array, remark: str = "") -> dict[str, bytes]:
-        """Return the files by name, with other X, Y, Z (N, 3), or with A, B, C besides (N, 6), and
-        a remark below their headers; nothing else differs.
+        """Files by name, with other X, Y, Z (N, 3), or also A, B, C (N, 6), and a remark below
+        their headers.
         """
         edits: dict[str, list[Edit]] = {name: [] for name in self.texts}
         for target, position in zip(self.targets, positions, strict=True):
@@ -252,10 +251,8 @@ def _source(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:
 
 
 def _tool_number(program: StationProgram) -> int:
-    """Return the number of the program's tool in the controller's table.
-
-    Raises `SettingsError` for a tool that has none, or that of the reflector: the program would
-    move another tip than it is written for.
+    """Number of the program's tool in the controller's table. Raises `SettingsError` for a tool
+    without one, or with the reflector's: the program would move another tip than it is written for.
     """
     reflector: int = program.options.get("tool", USUAL_TOOL)
     if program.tool_name == REFLECTOR:
@@ -292,7 +289,9 @@ def _via(program: StationProgram, number: int) -> list[str]:
 
 
 def _points(places: Places) -> Iterator[str]:
-    """Yield the points; one with an axis at zero leaves out S and T, whose bit rounding turns."""
+    """Yield the points; one with an axis at zero leaves out S and T, whose bit rounding could
+    change.
+    """
     turns = turn_of(places.joints_rad)
     sure = np.abs(places.joints_rad).min(axis=1) >= 1e-4  # rad
     for values, status, turn, is_sure in zip(
