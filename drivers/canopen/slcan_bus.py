@@ -3,7 +3,7 @@
 python-can's own class loses its receiver to one byte >= 0x80 or one malformed line, takes a
 truncated frame for a short one, and reports a late but complete write as an error. A stop must get
 out while another thread waits for the port: lines wait in one queue, no thread holds a lock while
-it waits, and the thread that gets the port ready sends.
+it waits, and a thread that finds the port ready sends them.
 """
 
 from __future__ import annotations

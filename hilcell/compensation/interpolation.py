@@ -37,7 +37,7 @@ class Interpolation(LearntModel):
     1.
 
     The covariance is ``sum w_i^2 V_i + (1 - sum w_i^2) R``. V: of each vertex's averaged reading,
-    independent (GUM 5.1.2). R: what the lattice does not resolve, with the repeatability of single
+    independent (GUM 5.1.2). R: errors finer than the lattice, with the repeatability of single
     visits; estimated from vertices left out, less their readings' share, and assumed equal
     everywhere and at twice the pitch: good to about 30 %. Not covered: the tracker's systematic
     error, temperature, the repeatability of the visit to the target, the frames {W} and {S}. The

@@ -151,7 +151,7 @@ def _numbers(values_mm: Array) -> str:
 
 
 def alone(figures: Figures) -> list[str]:
-    """Lines for people: what a URDF or DH table omits, and the residual."""
+    """Lines for people: effects that a URDF or DH table omits, and the residual."""
     unsaid = "It cannot state deflection by gravity, waves of the gears and the residual model."
     misses = f"mean {figures.mean:.4f}, p95 {figures.p95:.4f}, max {figures.max:.4f} mm"
     return [

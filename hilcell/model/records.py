@@ -56,7 +56,7 @@ PASSING: tuple[RunState, ...] = ("pausing", "aborting")  # the key ``pausing`` o
 
 
 class StateChanged(msgspec.Struct, frozen=True, kw_only=True):
-    """A transition of a state machine; ``by``: what resumed a waiting run."""
+    """A transition of a state machine; ``by``: the cause that resumed a waiting run."""
 
     machine: str
     before: str = field(name="from", default="")

@@ -32,7 +32,7 @@ class Cause(StrEnum):
 
     @property
     def advice(self) -> str:
-        """What to do with a calibration whose run suspects this cause."""
+        """Advice on a calibration whose run suspects this cause."""
         if self is Cause.CHANGED_SINCE:
             return "`hilcell revoke` the wrong one of both calibrations."
         return "Do not use this calibration."

@@ -240,7 +240,7 @@ def _in_range(cell: Cell, holes: Holes) -> Bools:
 
 @dataclass(frozen=True, slots=True)
 class _Unreached:
-    """Reasons why holes are drilled from no station; ``served``: what is corrected."""
+    """Reasons why holes are drilled from no station; ``served``: corrected poses."""
 
     cell: Cell
     holes: Holes
