@@ -65,71 +65,74 @@ class Acceptor:
 
 
 class End:
-    """One end of a serial line: bytes not read in time are lost, as at any UART."""
+    """One end of a wire. `send` never waits, so no side delays the other, and loses nothing."""
 
     on_bytes: Callable[[bytes], None]
 
-    def __init__(self, descriptor: int, close: Callable[[], None] | None = None) -> None:
+    def __init__(self, descriptor: int, close: Callable[[], None]) -> None:
         os.set_blocking(descriptor, False)
-        self._descriptor, self._close = descriptor, close
+        self._descriptor, self._close, self._unsent = descriptor, close, b""
 
     @property
     def full(self) -> bool:
         """Whether bytes wait for the other side to read."""
-        return False
+        return bool(self._unsent)
 
     def fileno(self) -> int:
         return self._descriptor
 
     def receive(self) -> bytes:
-        return os.read(self.fileno(), READ)
-
-    def send(self, data: bytes) -> None:
-        with suppress(BlockingIOError):
-            while data:
-                data = data[os.write(self._descriptor, data) :]
-
-    def flush(self) -> None:
-        """Send waiting bytes, as far as the other side reads them."""
-
-    def close(self, *, reset: bool = False) -> None:
-        """Close it, by RST where there is one."""
-        if self._close is None:
-            os.close(self._descriptor)
-        else:
-            self._close()
-
-    def leave(self) -> None:
-        """Close it when the other side has closed, too: a line has no connections."""
-        self.close()
-
-
-class SocketEnd(End):
-    """One end of a TCP connection; it never waits in `send`, so no side delays the other."""
-
-    RESET = struct.pack("ii", 1, 0)  # SO_LINGER: close by RST
-    LEAVE_S = 1.0  # a device that is busy may keep its end open
-
-    def __init__(self, link: socket.socket) -> None:
-        self._link, self._unsent = link, b""
-        link.setblocking(False)
-        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-
-    @property
-    def full(self) -> bool:
-        return bool(self._unsent)
-
-    def fileno(self) -> int:
-        return self._link.fileno()
+        return os.read(self._descriptor, READ)
 
     def send(self, data: bytes) -> None:
         self._unsent += data
         self.flush()
 
     def flush(self) -> None:
+        """Send waiting bytes, as far as the other side reads them."""
         with suppress(BlockingIOError):
             while self._unsent:
-                self._unsent = self._unsent[self._link.send(self._unsent) :]
+                self._unsent = self._unsent[self._write(self._unsent) :]
+
+    def _write(self, data: bytes) -> int:
+        return os.write(self._descriptor, data)
+
+    def close(self, *, reset: bool = False) -> None:
+        """Close it, by RST where there is one."""
+        self._close()
+
+    def leave(self) -> None:
+        """Close it when the other side has closed, too: a line has no connections."""
+        self.close()
+
+
+class DriverLine(End):
+    """The driver's end of a serial line: bytes not read in time are lost, as at any UART."""
+
+    def flush(self) -> None:
+        super().flush()
+        self._unsent = b""
+
+
+class SocketEnd(End):
+    """One end of a TCP connection; any thread may close it, so no descriptor outlives it."""
+
+    RESET = struct.pack("ii", 1, 0)  # SO_LINGER: close by RST
+    LEAVE_S = 1.0  # a device that is busy may keep its end open
+
+    def __init__(self, link: socket.socket) -> None:
+        super().__init__(link.fileno(), link.close)
+        self._link = link
+        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def fileno(self) -> int:
+        return self._link.fileno()
+
+    def receive(self) -> bytes:
+        return self._link.recv(READ)
+
+    def _write(self, data: bytes) -> int:
+        return self._link.send(data)
 
     def close(self, *, reset: bool = False) -> None:
         with suppress(OSError):
@@ -434,7 +437,7 @@ class SerialRelay(Relay):
                 tty.setraw(each)
         Path(self.path).symlink_to(os.ttyname(self._driver_end))
         self._count += 1
-        self._start(End(near), End(port.fileno(), port.close))
+        self._start(DriverLine(near, partial(os.close, near)), End(port.fileno(), port.close))
 
     def close(self) -> None:
         self.reset()

@@ -17,6 +17,7 @@ import socket
 import tempfile
 import tty
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -308,6 +309,29 @@ def test_a_serial_line_passes_through_a_pseudo_terminal(kept: tuple[Recorder, Pa
     for file in (driver, device, line):
         os.close(file)
     assert [p.e for p in read_recording(path)][:3] == ["open", ">", "<"]
+
+
+def test_a_stop_waits_for_a_device_whose_line_is_full(kept: tuple[Recorder, Path]) -> None:
+    device, line = pty.openpty()
+    tty.setraw(line)
+    relay = SerialRelay(SerialLine(os.ttyname(line)), kept[0])
+    driver = os.open(relay.channel, os.O_RDWR | os.O_NOCTTY)
+    os.set_blocking(line, False)
+    waiting = 0
+    with suppress(BlockingIOError):
+        while True:
+            waiting += os.write(line, b"unread")
+    os.write(driver, b"stop")
+    recorded_until(kept[1], ">")
+    os.write(device, b"answer")
+    assert os.read(driver, 100) == b"answer"  # so the stop was sent, as far as there is room
+    arrived = b""
+    while len(arrived) < waiting + len(b"stop"):
+        arrived += os.read(device, 4096)
+    assert arrived.endswith(b"stop")
+    relay.close()
+    for file in (driver, device, line):
+        os.close(file)
 
 
 def test_a_serial_line_that_cannot_be_opened_leaves_no_folder(
