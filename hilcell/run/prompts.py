@@ -160,9 +160,18 @@ def unanswered(prompt: Prompt, cause: NoReading | None) -> DeviceError:
         cause.operation,
         cause.found,
         expected=cause.expected,
-        act=cause.act or "clear the beam or seat the reflector, then resume",
+        act=reading_advice(cause),
         fields=cause.fields,
     )
+
+
+def reading_advice(error: NoReading) -> str:
+    """The first step of the alarm's entry; without an entry the driver's advice, or the usual."""
+    entry = entry_of(error.code, error.device)
+    if entry.specific:
+        return entry.do[0].removesuffix(".")
+    usual = "check that nothing is in the line of sight, and that the reflector is clean and seated"
+    return error.act or usual
 
 
 FLANGE = "flange"
@@ -222,14 +231,11 @@ def beam_prompt(
 ) -> Prompt:
     """Return the prompt after failed readings of a reflector.
 
-    It shows the driver's own advice; the driver's message is in the alarm and the journal.
+    The driver's message is in the alarm and the journal.
     """
     entry = entry_of(error.code, error.device)
     found = entry.title if entry.specific else error.found
-    clear = (
-        "see that nothing is in the line of sight, and that the reflector is clean and sits well"
-    )
-    advice = error.act or clear
+    advice = reading_advice(error)
     return Prompt(
         title=f"No good reading of {place}",
         text=f"{found}, at {where(cell, place)}. {advice[:1].upper()}{advice[1:]}.",

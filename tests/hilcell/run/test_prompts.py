@@ -15,6 +15,7 @@ from hilcell.ports import DeviceError, NoReading
 from hilcell.run import device_status
 from hilcell.run.cell_session import CellSession
 from hilcell.run.meter import Meter
+from hilcell.run.prompts import beam_prompt, unanswered
 from tests.hilcell.run.bed import Bed, Live, broken_beam, until
 from tests.hilcell.run.rig import Points, failing, hang, procedure
 
@@ -74,6 +75,23 @@ def test_a_lasting_break_asks_and_goes_on_when_the_reflector_is_seen(bed: Bed) -
     assert suspended["error"]["operation"] == "measure p/0"
     assert suspended["prompt"]["place"] == "F1"
     assert len(bed.events("answer refused")) == 1
+
+
+@pytest.mark.parametrize(
+    ("error", "advice"),
+    [
+        (NoReading("HC-T05", "Tracker", "measure", "no air"), "Check the weather station"),
+        (NoReading("HC-T10", "Tracker", "measure", "the beam broke"), "Clear the line of sight"),
+        (NoReading("XY-T01", "Tracker", "measure", "odd", act="turn it round"), "Turn it round"),
+        (NoReading("XY-T01", "Tracker", "measure", "odd"), "Check that nothing is in the line"),
+    ],
+)
+def test_a_failed_reading_shows_the_steps_of_its_own_cause(error: NoReading, advice: str) -> None:
+    prompt = beam_prompt(load_cell("paper"), "grid/0-0-0", "flange", np.zeros(3), 20.0, error)
+    assert prompt.text.partition("flange. ")[2].startswith(advice)
+    assert prompt.text.endswith(".")
+    assert not prompt.text.endswith("..")
+    assert unanswered(prompt, error).act.casefold().startswith(advice.casefold())
 
 
 def test_what_was_seen_before_the_answer_proves_nothing(bed: Bed) -> None:
