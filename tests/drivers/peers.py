@@ -7,7 +7,7 @@ import socket
 import threading
 from collections.abc import Callable, Iterator
 from types import ModuleType
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import pytest
 
@@ -171,6 +171,19 @@ def in_thread(act: Callable[[], object], *errors: type[Exception]) -> Iterator[l
     thread.start()
     yield raised
     thread.join()
+
+
+class Closing(Protocol):
+    def close(self) -> None: ...
+
+
+D = TypeVar("D", bound=Closing)
+
+
+def closed_behind(build: Callable[..., D]) -> Iterator[Callable[..., D]]:
+    """Yield ``build``, and close all devices that it has built."""
+    with contextlib.ExitStack() as stack:
+        yield lambda **options: stack.enter_context(contextlib.closing(build(**options)))
 
 
 def refusal(act: Callable[[], object]) -> DeviceError:

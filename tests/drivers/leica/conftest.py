@@ -8,7 +8,7 @@ import pytest
 from drivers import supervision
 from tests.drivers.leica.emscon_bed import SMR, Make, Quick
 from tests.drivers.leica.emscon_peer import EmsconPeer
-from tests.drivers.peers import WireTime, wire_time
+from tests.drivers.peers import WireTime, closed_behind, wire_time
 
 
 @pytest.fixture
@@ -25,7 +25,6 @@ def peer() -> Iterator[EmsconPeer]:
 @pytest.fixture
 def make(peer: EmsconPeer, time: WireTime) -> Iterator[Make]:
     """Make trackers, not yet connected, which are closed behind the test."""
-    made: list[Quick] = []
 
     def build(**options: Any) -> Quick:
         values: dict[str, Any] = {
@@ -36,12 +35,9 @@ def make(peer: EmsconPeer, time: WireTime) -> Iterator[Make]:
             "find_radius_mm": 5.0,
             "reading_s": 0.1,
         }
-        made.append(Quick(Quick.Options(**(values | options)), time))
-        return made[-1]
+        return Quick(Quick.Options(**(values | options)), time)
 
-    yield build
-    for tracker in made:
-        tracker.close()
+    yield from closed_behind(build)
 
 
 @pytest.fixture

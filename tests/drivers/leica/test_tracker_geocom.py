@@ -21,7 +21,7 @@ from drivers.leica import tracker_geocom as geocom
 from drivers.leica.tracker_geocom import LeicaGeocomTracker, Reply, Rpc
 from hilcell.ports import DeviceError, DeviceRefused, NoReading, Stopped, Streams, Tracker
 from tests.drivers.leica.geocom_peer import GeocomPeer
-from tests.drivers.peers import WireTime, in_thread, refusal
+from tests.drivers.peers import WireTime, closed_behind, in_thread, refusal
 
 pytestmark = pytest.mark.waits
 
@@ -47,7 +47,6 @@ def peer() -> Iterator[GeocomPeer]:
 @pytest.fixture
 def make(peer: GeocomPeer, time: WireTime) -> Iterator[Make]:
     """Make trackers, not yet connected, which are closed behind the test."""
-    made: list[Quick] = []
 
     def build(**options: Any) -> Quick:
         values: dict[str, Any] = {
@@ -57,19 +56,9 @@ def make(peer: GeocomPeer, time: WireTime) -> Iterator[Make]:
             "find_radius_mm": 5.0,
             "reading_s": 0.1,
         }
-        made.append(Quick(Quick.Options(**(values | options)), time))
-        return made[-1]
+        return Quick(Quick.Options(**(values | options)), time)
 
-    yield build
-    for tracker in made:
-        tracker.close()
-
-
-@pytest.fixture
-def tracker(make: Make) -> Quick:
-    tracker = make()
-    tracker.connect()
-    return tracker
+    yield from closed_behind(build)
 
 
 def measuring(tracker: Quick, samples: int = 1) -> DeviceError:

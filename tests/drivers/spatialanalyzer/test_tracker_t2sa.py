@@ -18,7 +18,7 @@ from drivers.spatialanalyzer import tracker_t2sa as t2sa
 from drivers.spatialanalyzer.tracker_t2sa import Reply, T2saTracker
 from drivers.tracker_readings import matching_form
 from hilcell.ports import DeviceError, DeviceRefused, NoReading, Stopped, Streams, Tracker
-from tests.drivers.peers import WireTime, in_thread, refusal, wire_time
+from tests.drivers.peers import WireTime, closed_behind, in_thread, refusal, wire_time
 from tests.drivers.spatialanalyzer.t2sa_peer import POINTS, Answer, T2saPeer
 
 PLACE = np.array([4010.0, -2990.0, 5.0])
@@ -49,8 +49,6 @@ def peer() -> Iterator[T2saPeer]:
 
 @pytest.fixture
 def make(peer: T2saPeer, points: Path, time: WireTime) -> Iterator[Make]:
-    made: list[T2saTracker] = []
-
     def build(**options: Any) -> T2saTracker:
         values = {
             "host": "127.0.0.1",
@@ -61,12 +59,9 @@ def make(peer: T2saPeer, points: Path, time: WireTime) -> Iterator[Make]:
             "points": str(points),
         }
         kept = msgspec.convert(values | options, T2saTracker.Options)
-        made.append(T2saTracker(kept, time))
-        return made[-1]
+        return T2saTracker(kept, time)
 
-    yield build
-    for tracker in made:
-        tracker.close()
+    yield from closed_behind(build)
 
 
 @pytest.fixture
