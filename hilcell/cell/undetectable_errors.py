@@ -38,7 +38,7 @@ def undetectable_errors(cell: Cell, *, two_faces: bool) -> list[str]:
     else:
         units = np.array([length / np.linalg.norm(length) for length in lengths_mm])
         across_deg = 30.0  # between lengths of different directions
-        if np.abs(units @ units.T).min() > np.cos(np.radians(across_deg)):
+        if not np.abs(units @ units.T).min() <= np.cos(np.radians(across_deg)):
             errors.append(
                 "all certified lengths (layout.length) have one direction: a scale error across it "
                 "is not detected; add one at right angles"
