@@ -53,7 +53,7 @@ def read_run(cell: Cell, session: int = 1) -> tuple[dict[str, Path], dict[str, S
     """Files and pieces of a cell's recorded wires, and of its clock, by name. Raises
     `SettingsError` where one is missing or incomplete, and for those of another cell.
     """
-    found = sessions(cell_folder(cell))
+    found = sessions(recordings_folder(cell))
     if session > len(found):
         what = f"the recorded run was resumed {len(found) - 1} times"
         raise SettingsError(DATA, [f"{found[0]}: {what}; its replay goes no further"])
@@ -97,7 +97,7 @@ def _unlike(cell: Cell, session: int, paths: Mapping[str, Path], wires: Recorded
     )
 
 
-def cell_folder(cell: Cell) -> Path:
+def recordings_folder(cell: Cell) -> Path:
     return Path("" if cell.simulation is None else cell.simulation.data)
 
 
@@ -184,7 +184,7 @@ class RecordedCell:
         **_: object,
     ) -> None:
         paths, pieces = read_run(cell, session)
-        self._resumed = len(sessions(cell_folder(cell))) > session
+        self._resumed = len(sessions(recordings_folder(cell))) > session
         self.address = ""
         self._wires: list[RecordedWire] = []
         self._time, channels = EventTime(), dict[str, str]()
@@ -225,7 +225,7 @@ class RecordedCell:
 
     @classmethod
     def check_run(cls, cell: Cell, procedure: str, seed: int) -> None:
-        folder = cell_folder(cell)
+        folder = recordings_folder(cell)
         path = recordings(folder)[CLOCK]
         head = run_header(read_recording(path), path)
         if (head.procedure, head.seed) != (procedure, seed):
