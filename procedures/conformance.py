@@ -165,7 +165,7 @@ def _confirm(session: CellSession, what: str) -> None:
     session.add(Announced(motion=what))
     session.pause(
         f'conformance: {what}; clear the cell, stay at the E-stop, then type "yes" at '
-        f"`{command_on(session.folder, 'resume')}`, or let it go on at the screen"
+        f"`{command_on(session.folder, 'resume')}`, or continue on the screen"
     )
 
 

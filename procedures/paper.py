@@ -286,7 +286,7 @@ class Compared:
         return -math.inf, (1 + share) * self.result.fit.loocv[Idw.name]["mean"]
 
     def transferred(self) -> Limits:
-        """Return the mean at the grid's station and, in squares, the paper's cost of transfer."""
+        """The mean at the grid's station plus, in quadrature, the paper's transfer error."""
         here_mm = self.mean("reference", Sent.IDW)
         return -math.inf, float(np.sqrt(here_mm**2 + PAPER_OTHERS_MM**2 - PAPER_REFERENCE_MM**2))
 

@@ -251,7 +251,7 @@ def tool_uncertainty_mm(cell: Cell, fit: RigidFit) -> float:
 
 
 def cube_uncertainty_mm(cell: Cell, fit: RigidFit) -> float:
-    """Return the same at the worst corner of the cube, where it is largest in all of the cube."""
+    """The same at the worst corner of the cube, its maximum over the cube."""
     signs = np.array(list(product((-0.5, 0.5), repeat=3)))
     corners_mm = cell.grid.centre.matrix()[:3, 3] + signs * np.array(cell.grid.size_mm)
     return max(point_uncertainty(fit, corner) for corner in _in_slide_mm(cell, corners_mm))

@@ -139,7 +139,7 @@ class _Use:
         try:
             age = self.now - datetime.strptime(written, "%Y-%m-%dT%H:%M:%SZ").replace(tzinfo=UTC)
         except ValueError:
-            return f"it says {written!r} for when it was written, which is no UTC time"
+            return f"its date {written!r} is not a UTC time"
         days = age / timedelta(days=1)
         if age < -CLOCK_ERROR:
             return (

@@ -1,4 +1,4 @@
-"""Residuals of a model at measured targets, folded in by their share.
+"""Residuals of a model at measured targets, weighted and added to its predictions.
 
 A residual contains the model's own error, the visit's repeatability, its reading, and the frames of
 that day, common to all targets. Only the first comes back, so a residual counts by its share of the

@@ -25,7 +25,10 @@ def usual_runs(environment: Mapping[str, str]) -> tuple[Path, str]:
     if data.is_absolute():
         return data / "hilcell" / "runs", ""
     here = Path("runs")
-    return here, f"this user has no home: runs are in {here.resolve()}; {OVERRIDE} names others"
+    return (
+        here,
+        f"no home directory: runs are in {here.resolve()}; set {OVERRIDE} to change it",
+    )
 
 
 def at_home(folder: Path) -> Path:

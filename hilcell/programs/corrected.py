@@ -80,7 +80,7 @@ class Corrected:
         return (
             f"{words}; of their orientation, as the reflectors define it: "
             f"{np.median(self.bounds_deg):.4f} and {self.bounds_deg.max():.4f} deg (true; a "
-            "measured angle has the readings' noise, too)"
+            "measured angle also contains reading noise)"
         )
 
     def listed(self, header: Sequence[str], rows: Sequence[list[str]]) -> bytes:

@@ -47,7 +47,7 @@ from hilcell.run.order import Release
 from hilcell.sanitize import counted, harmless
 
 SUMMARY, SHEET = "summary.json", "sheet.html"
-TRUE_ANGLE = "of the true angle; a measured one has the readings' noise, too"
+TRUE_ANGLE = "of the true angle; a measured angle also contains reading noise"
 INVALID = (
     "a collision, a new mastering, an exchanged motor, gear, drill spindle or reflector mount",
     "the rail, the strip or its head was moved, or the slide does not come to its strip reading",

@@ -308,7 +308,7 @@ class StationTargets(TargetFiles):
 
     @staticmethod
     def _check_slide(station: Station, stated: tuple[str, float] | None) -> None:
-        """Raise `HilcellError` where a program moves the slide elsewhere than to its station."""
+        """Raise `HilcellError` where a program moves the slide away from its station."""
         # A program's place is the drive's, and the strip's decides: no other station is so near.
         slide_mm = 5.0
         if stated is not None and not abs(stated[1] - station.rail_mm) <= slide_mm:

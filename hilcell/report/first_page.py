@@ -206,7 +206,7 @@ class FirstPage:
         return f"WOULD BE {word}" if judged is Outcome.UNDECIDED else f"WOULD {word}"
 
     def deciding(self) -> str:
-        """Return where which figures decided that the run does not pass, after a colon."""
+        """The stations and figures by which the run does not pass, after a colon."""
         failed = {place: each for place, each in self.judged_places().items() if not each.holds}
         outcomes = [each.outcome for each in failed.values()]
         if not outcomes:

@@ -286,7 +286,7 @@ class ReportText:
     def sentence(self) -> str:
         facts = self.facts
         if facts.revoked:
-            return "The calibration of this run was revoked: correct nothing by it."
+            return "The calibration of this run was revoked: do not use it for correction."
         if is_pose_test(facts):
             return PoseReport(facts).sentence()
         for kind in ("recheck", "targets"):
@@ -304,7 +304,7 @@ class ReportText:
                 shown = "The robot is not shown to keep its limits, with the uncertainty added"
                 return f"{only}{shown}{FirstPage(facts).deciding()}."
             case "undecided":
-                shown = "Neither that the robot keeps its limits is shown nor the contrary"
+                shown = "Conformity is neither shown nor refuted"
                 return f"{only}{shown}{FirstPage(facts).deciding()}."
         return "No correction was judged against limits in this run."
 

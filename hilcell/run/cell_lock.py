@@ -159,7 +159,10 @@ def _opened(path: Path) -> int:
     found = os.fstat(file)
     if not stat.S_ISREG(found.st_mode) or found.st_nlink != 1:
         os.close(file)
-        raise OSError(errno.EINVAL, f"{path.name} is no lock: no plain file, or one with two names")
+        raise OSError(
+            errno.EINVAL,
+            f"{path.name}: expected a regular file with one hard link",
+        )
     return file
 
 

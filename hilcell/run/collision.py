@@ -229,7 +229,7 @@ RESERVE_MM = 5.0  # beyond the required clearance; a plan has 10
 
 
 class UpcomingPoses:
-    """Poses whose paths are proven in advance, by their joints to the last bit."""
+    """Poses whose paths are proven in advance, keyed by exact joint values."""
 
     def __init__(self, cell: Cell) -> None:
         self._cell = cell

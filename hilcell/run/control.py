@@ -156,7 +156,7 @@ class Refusal(msgspec.Struct, frozen=True):
 
 
 class _Runner(Protocol):
-    """`hilcell.run.runner.Runner` as the channel calls it, each method from any thread."""
+    """`hilcell.run.runner.Runner` as the control socket calls it; each method from any thread."""
 
     def stop(self) -> None: ...
     def post(self, command: str) -> None: ...
@@ -361,7 +361,7 @@ class EngineClient:
         return True
 
     def leave(self) -> None:
-        """Report that this client does not get lost when it hangs up.
+        """Announce an intentional disconnect.
 
         Pending answers are awaited: an engine that answers into a closed line reads no further.
         """
@@ -406,7 +406,11 @@ class EngineClient:
         while b"\n" not in self._read:
             came = self._asking.recv(self.LONGEST_ANSWER)
             if not came or len(self._read) > self.LONGEST_ANSWER:
-                raise ConnectionError("it has hung up" if not came else "it never ends a line")
+                raise ConnectionError(
+                    "the connection was closed"
+                    if not came
+                    else "the reply exceeds the maximum length"
+                )
             self._read += came
         line, _, self._read = self._read.partition(b"\n")
         self._pending -= 1

@@ -79,7 +79,7 @@ class Engine:
 
     def __enter__(self) -> Self:
         folder, cell = self.plan.folder, self.plan.cell
-        runs = folder.resolve().parent  # one lock by whatever path
+        runs = folder.resolve().parent  # the same lock regardless of the path
         with ExitStack() as stack:
             lock = lock_of_name(runs, cell.name)
             stack.enter_context(locked(lock, f"cell {cell.name}", folder.name))

@@ -90,7 +90,7 @@ class _StepProgress:
 
 
 class _Pace:
-    """Real seconds of planned ones: by the cell's speed, and extra time as measured."""
+    """Converts planned to real seconds: the cell's speed, and extra time as measured."""
 
     def __init__(self, share: float) -> None:
         self.share = share  # real per planned seconds; 0 without a speed limit

@@ -159,7 +159,7 @@ class Meter(Mover):
     def request_reflector(self, place: str, nominal_mm: Array) -> None:
         """Request the carried reflector at ``place``, nominally (3,) in {W}, unless it is there.
 
-        Parks the robot; the slide is held. Nothing to do with mounted reflectors.
+        Parks the robot; the slide is held. No-op for mounted reflectors.
         """
         if not self.cell.layout.by_hand or self.log.seated == place:
             return

@@ -202,7 +202,7 @@ class Mover(RunContext):
     robot's last motion began.
     """
 
-    JOINT_POLL_S = 0.25  # between two questions for the joints: hundreds of them make one line
+    JOINT_POLL_S = 0.25  # between two polls of the joints; a motion has hundreds
 
     held: Station | None = None
     began: events.ReadingTime | None = None

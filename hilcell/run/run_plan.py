@@ -1,7 +1,7 @@
 """Runs that were ordered and checked before anything moves.
 
 I18: a resumed run continues with the same devices and inputs, or the operator accepts the changes.
-A run keeps the cell of its begin; an edited cell file changes nothing in it and is reported.
+A run keeps the cell file it began with; a later edit has no effect and is reported.
 """
 
 from __future__ import annotations

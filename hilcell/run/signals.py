@@ -13,7 +13,7 @@ from types import FrameType
 
 from hilcell.ports import Stopped
 
-# Ctrl-C pauses, a second one stops; a lost terminal is a lost screen.
+# Ctrl-C pauses, a second one stops; a lost terminal (SIGHUP) counts as a lost screen.
 COMMANDS = {signal.SIGINT: "interrupt", signal.SIGTERM: "terminate", signal.SIGHUP: "lost"}
 
 

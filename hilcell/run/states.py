@@ -112,7 +112,7 @@ class StateMachine:
             self.trigger(trigger, **facts)
         except MachineError as error:
             raise TransitionRefused(
-                f"{self.table.name} is {self.state}: {trigger!r} is not possible now"
+                f"{self.table.name} is {self.state}: {trigger!r} is not possible in this state"
             ) from error
 
     def _write(self, event: EventData) -> None:
@@ -144,7 +144,7 @@ def remeasure_refusal(log: Log, point: Point) -> str:
     """Return why a measured point may not be re-measured, else ""."""
     kind, repeatable = point.id.kind, point.commanded_deg is not None and bool(point.station)
     if not (repeatable and kind in ("grid", "repeatability", "validate")):
-        return f"{point.key}: only grid, repeatability, validation are retaken; start a new run"
+        return f"{point.key}: expected a grid, repeatability or validation point; start a new run"
     fitted = CALIBRATION.states[CALIBRATION.states.index("fitted") :]
     if kind != "validate" and log.calibration in fitted:
         return f"{point.key}: the correction was built with it; start a new run"

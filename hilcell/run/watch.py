@@ -339,7 +339,7 @@ class Watch(Meter):
             return
         if self._proven == (station.name, self.log.visit):
             return
-        self.parked()  # the arm may stand in the beam's way to the slide
+        self.parked()  # the arm may block the beam to the slide
         off = self._prove_hold(station)
         if not off.holds:
             self.verify_tracker()
@@ -515,7 +515,7 @@ def motions_mm(before: Sequence[Point], now: Sequence[Point]) -> Array:
 
 
 def some_unmoved(before: Sequence[Point], now: Sequence[Point]) -> bool:
-    """Whether some nests moved much less than others, which no motion of a tracker causes."""
+    """Whether some nests moved much less than others, which no tracker motion can cause."""
     off_mm = motions_mm(before, now)
     return bool(np.any(off_mm <= ALIKE * off_mm.max()))
 

@@ -1,4 +1,4 @@
-"""The worker: the thread that performs the procedure. Its messages say how far it has come."""
+"""The worker: the thread that performs the procedure. It reports progress by messages."""
 
 from __future__ import annotations
 
