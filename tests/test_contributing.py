@@ -15,7 +15,7 @@ import pytest
 from hilcell.alarms.catalogue import Entry
 from hilcell.cell.file import load_cell
 from hilcell.clock import WallClock
-from hilcell.ports import Air, NoReading, Tracker
+from hilcell.ports import Air, DeviceError, NoReading, Tracker
 from hilcell.present.table import Column
 from hilcell.report import tables
 from hilcell.report.html import report_html
@@ -60,18 +60,33 @@ class Peer:
 
 def test_the_driver_measures_stops_and_refuses_another_reflector() -> None:
     driver = module(BLOCKS["drivers/tracker_lines.py"], "docs/first-driver.md").LineTracker
-    peer = Peer("LINES 17", "1 2 3 .01 .01 .02 22 1013 45", "9 2 3 .01 .01 .02 22 1013 45")
+    peer = Peer(
+        "LINES 17", "1 2 3 .01 .01 .02 22 1013 45", "9 2 3 .01 .01 .02 22 1013 45", "1 2 odd"
+    )
     options = driver.Options(host="127.0.0.1", port=peer.port, find_radius_mm=5.0)
     tracker: Tracker = driver(options, WallClock(threading.Event()))
     assert tracker.connect()[0].serial == "17"
     reading = tracker.measure(np.array([1.0, 2.0, 3.5]), "SMR", 3)
     assert reading.xyz_mm.tolist() == [1.0, 2.0, 3.0]
     assert (reading.air, reading.samples) == (Air(22.0, 1013.0, 45.0), 3)
-    with pytest.raises(NoReading, match=r"reflector 8\.00 mm from its expected place"):
+    with pytest.raises(NoReading, match=r"reflector is 8\.00 mm from its expected place"):
         tracker.measure(np.array([1.0, 2.0, 3.0]), "SMR", 1)
+    with pytest.raises(DeviceError, match="invalid answer") as raised:
+        tracker.measure(np.zeros(3), "SMR", 1)
+    assert raised.value.code == "HC-T02"
     tracker.stop()
-    assert peer.end() == ["ID", "MEASURE 1.0 2.0 3.5 3", "MEASURE 1.0 2.0 3.0 1", "STOP"]
+    requests = ["MEASURE 1.0 2.0 3.5 3", "MEASURE 1.0 2.0 3.0 1", "MEASURE 0.0 0.0 0.0 1"]
+    assert peer.end() == ["ID", *requests, "STOP"]
     tracker.close()
+
+
+def test_the_driver_closes_its_wire_when_connect_fails() -> None:
+    driver = module(BLOCKS["drivers/tracker_lines.py"], "docs/first-driver.md").LineTracker
+    peer = Peer("LINES")
+    options = driver.Options(host="127.0.0.1", port=peer.port, find_radius_mm=5.0)
+    with pytest.raises(DeviceError, match="invalid answer"):
+        driver(options, WallClock(threading.Event())).connect()
+    assert peer.end() == ["ID", ""]
 
 
 def test_the_procedure_plans_measures_and_states_its_result(tmp_path: Path) -> None:
