@@ -1,9 +1,9 @@
 """Wires of drivers: a TCP connection or a serial line, used alike, and lines of text over either.
 
-Every wait ends within 20 ms of a stop. By default keepalive notices a dead peer after two hours, so
-the probe times are set, unsent bytes expire by TCP_USER_TIMEOUT where the system has it, and every
-read has a deadline, which counts polls that received nothing, never the clock of a thread that did
-not run.
+Every wait for bytes ends within 20 ms of a stop; connecting takes 3 s at most. By default keepalive
+notices a dead peer after two hours, so the probe times are set, unsent bytes expire by
+TCP_USER_TIMEOUT where the system has it, and every read has a deadline, which counts polls that
+received nothing, never the clock of a thread that did not run.
 """
 
 from __future__ import annotations
