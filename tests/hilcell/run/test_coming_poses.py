@@ -104,11 +104,11 @@ def test_a_robot_that_stands_nowhere_is_within_no_reserve() -> None:
             assert not coming.clear(read[0], read[1:], FARTHER)
 
 
-def test_neither_of_both_ways_is_left_out() -> None:
+def test_both_paths_are_proven_with_the_reserve() -> None:
     """To below the pose, and from there: a wall is too near to one end of either."""
     low = HOME - np.radians(CELL.robot.approach_deg)
     for from_rad, to_rad in ((HOME, LEFT), (low, HOME)):
-        for more_mm, clear in ((-1.0, False), (RESERVE_MM + 1.0, True)):
+        for more_mm, clear in ((-1.0, False), (RESERVE_MM - 1.0, False), (RESERVE_MM + 1.0, True)):
             cell = beside_wall(HOME, around_of(CELL).wanted_mm + more_mm)
             coming = UpcomingPoses(cell)
             coming.expect(S1100.strip_mm, np.array([from_rad, to_rad]))
