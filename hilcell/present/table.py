@@ -87,8 +87,10 @@ def vector(
         yield Column(prefix + name, partial(element, n), unit, form)
 
 
-def listed(*names: str) -> list[Column[Sequence[Value]]]:
-    return [Column(name, itemgetter(n)) for n, name in enumerate(names)]
+def listed(*columns: str | tuple[str, str, str]) -> list[Column[Sequence[Value]]]:
+    """Return the columns of rows that are sequences: each a name, or its name, unit and form."""
+    named = [(each, "", "") if isinstance(each, str) else each for each in columns]
+    return [Column(name, itemgetter(n), unit, form) for n, (name, unit, form) in enumerate(named)]
 
 
 class Table:

@@ -31,7 +31,7 @@ from hilcell.model.outcome import Outcome
 from hilcell.model.plan import PlanRecord
 from hilcell.model.point import Sent
 from hilcell.model.suspicion import suspected_in
-from hilcell.ports import HilcellError
+from hilcell.ports import Array, HilcellError
 from hilcell.run.procedure import Procedure
 from hilcell.sanitize import encodable, harmless
 
@@ -110,6 +110,13 @@ class Facts:
     def date(self) -> str:
         """Return the day on which the run ended, there."""
         return in_zone(self.last.t, self.zone).date().isoformat()
+
+    @property
+    def tracker_mm(self) -> Array:
+        """Return the tracker's place (3,) in {W}: measured, else that of the cell file."""
+        if "world" in self.log.frames:
+            return self.log.matrix("world")[:3, 3]
+        return self.cell.tracker.pose.matrix()[:3, 3]
 
     @property
     def is_paper(self) -> bool:

@@ -6,7 +6,6 @@ verdicts.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from operator import attrgetter
@@ -25,15 +24,16 @@ from hilcell.compensation.kinematic import Kinematic
 from hilcell.compensation.model_choice import MODELS
 from hilcell.geometry.frames import matrix, zyx_from_pose
 from hilcell.journal.calibration_facts import SUSPECTED
-from hilcell.journal.labels import in_zone, verdict_label
+from hilcell.journal.labels import in_zone, period_text
 from hilcell.model.outcome import RULE, Outcome, gravest, outcome_of
 from hilcell.model.point import BOTH, Sent
-from hilcell.model.verdicts import VALIDATION, Fitted, Judged, Rechecked, Verdict
+from hilcell.model.verdicts import VALIDATION, Fitted, Judged, Rechecked
 from hilcell.present.table import Column, Table
 from hilcell.report import iso9283
 from hilcell.report.budgets import K_3D, TargetBudget
 from hilcell.report.facts import Facts
 from hilcell.report.iso9283 import PoseReport, is_pose_test
+from hilcell.report.tables import typeset
 
 BLANK = "…" * 12  # to fill in by hand
 NOT_APPLICABLE = "–"
@@ -205,6 +205,46 @@ class FirstPage:
             return word
         return f"WOULD BE {word}" if judged is Outcome.UNDECIDED else f"WOULD {word}"
 
+    def status(self) -> tuple[str, str]:
+        """Return the status of the run: a kind for the style sheet, and a text."""
+        facts = self.facts
+        end, state = facts.log.end, facts.log.state
+        if facts.revoked:
+            return "bad", f"its calibration is revoked: {facts.revoked}"
+        if facts.finished and end is not None:
+            later = f"; its calibration is superseded by {facts.superseded}" * bool(
+                facts.superseded
+            )
+            return "bad" if end.exit else "good", facts.log.outcome + later
+        if end is None and state not in ("aborted", "faulted"):
+            return "open", "not begun" if state == "idle" else f"not finished: {state}, engine gone"
+        return "open", f"not finished: {facts.log.outcome}"
+
+    def sentence(self) -> str:
+        facts = self.facts
+        if facts.revoked:
+            return "The calibration of this run was revoked: do not use it for correction."
+        if is_pose_test(facts):
+            return PoseReport(facts).sentence()
+        for kind in ("recheck", "targets"):
+            if kind in facts.result:
+                return str(facts.result[kind]["text"])
+        only = "In simulation only: " if facts.inputs.simulated else ""
+        match self.judgement():
+            case "failed check":
+                return "A check of this run is beyond its limit: see the verdicts."
+            case "suspected":
+                return f"{facts.suspected}. Correct nothing by it until that is cleared."
+            case "accepted":
+                return f"{only}With its correction the robot keeps its limits, uncertainty added."
+            case "rejected":
+                shown = "The robot is not shown to keep its limits, with the uncertainty added"
+                return f"{only}{shown}{self.deciding()}."
+            case "undecided":
+                shown = "Conformity is neither shown nor refuted"
+                return f"{only}{shown}{self.deciding()}."
+        return "No correction was judged against limits in this run."
+
     def deciding(self) -> str:
         """The stations and figures by which the run does not pass, after a colon."""
         failed = {place: each for place, each in self.judged_places().items() if not each.holds}
@@ -231,7 +271,22 @@ class FirstPage:
             f"{K_3D * budget.u_mm:.3f} mm with 95 % (k = {K_3D:.2f}, three coordinates; GUM)."
         )
 
-    def item_facts(self, measured: str) -> list[Fact]:
+    def time_span(self) -> str:
+        facts = self.facts
+        return period_text(facts.records[0].t, facts.last.t, facts.zone)
+
+    def lead(self) -> str:
+        facts = self.facts
+        if facts.log.calibration != "validated" or facts.is_paper:
+            return facts.procedure.summary[:1].upper() + facts.procedure.summary[1:]
+        robot = "Robot on a rail" if facts.cell.has_rail else "Robot"
+        turned = bool(facts.cell.robot.more_smr_mm)
+        errors = "position and orientation errors of the tool" if turned else (
+            "position errors of the tool point"
+        )  # fmt: skip
+        return f"{robot}: {errors} and their correction"
+
+    def item_facts(self) -> list[Fact]:
         cell = self.facts.cell
         robot = self.facts.asset("robot")
         serial = "" if robot is None else f", serial {robot.serial}"
@@ -255,7 +310,7 @@ class FirstPage:
             Fact("Robot", f"{cell.robot.name}{serial}, {on}"),
             Fact("Stations", names + more),
             *(Fact(*each) for each in PoseReport(self.facts).stated_conditions()),
-            Fact("Measured", measured),
+            Fact("Measured", self.time_span()),
             Fact("Operator", self.facts.inputs.operator),
         ]
 
@@ -313,6 +368,16 @@ class FirstPage:
             )
         return instruments
 
+    def instruments(self) -> Table:
+        columns: tuple[Column[Instrument], ...] = (
+            Column("instrument", attrgetter("instrument")),
+            Column("model", attrgetter("model")),
+            Column("serial", lambda row: row.serial or BLANK),
+            Column("certificate", lambda row: row.certificate or BLANK),
+        )
+        title = "Instruments and traceability"
+        return Table(columns, self.instrument_rows(), title, self.traceability())
+
     def traceability(self) -> str:
         if self.facts.inputs.simulated:
             return "Not traceable: no instrument measured anything."
@@ -357,33 +422,6 @@ class Instrument:
     model: str
     serial: str
     certificate: str
-
-
-def instruments(facts: Facts) -> Table:
-    rows = FirstPage(facts).instrument_rows()
-    columns: tuple[Column[Instrument], ...] = (
-        Column("instrument", attrgetter("instrument")),
-        Column("model", attrgetter("model")),
-        Column("serial", lambda row: row.serial or BLANK),
-        Column("certificate", lambda row: row.certificate or BLANK),
-    )
-    return Table(columns, rows, "Instruments and traceability", FirstPage(facts).traceability())
-
-
-def verdicts(facts: Facts) -> Table:
-    columns: tuple[Column[tuple[str, Verdict]], ...] = (
-        Column("judged", lambda row: verdict_label(row[0])),
-        Column("verdict", lambda row: "passes" if row[1].holds else "fails"),
-        Column("by", lambda row: typeset(row[1].text)),
-    )
-    return Table(columns, facts.log.verdicts.items(), "Verdicts")
-
-
-def typeset(words: str) -> str:
-    signs = {"<=": "≤", r"\+-": "±", r" deg\b": "°", r"\burad\b": "µrad"}
-    for written, shown in signs.items():
-        words = re.sub(written, shown, words)
-    return words
 
 
 # -- contents of a calibration certificate (ISO/IEC 17025:2017, 7.8.2, 7.8.4), item by item --------

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from operator import attrgetter, itemgetter
+from itertools import product
+from operator import attrgetter
 from typing import TypeVar
 
 import numpy as np
@@ -26,10 +28,13 @@ from hilcell.calibration.position_errors import (
     validation,
 )
 from hilcell.cell.file import Station
-from hilcell.geometry.frames import zyx_from_pose
+from hilcell.geometry.frames import apply, zyx_from_pose
 from hilcell.geometry.statistics import Figures
 from hilcell.identity import Identity
+from hilcell.journal.labels import verdict_label
 from hilcell.model.events import (
+    URAD,
+    CurveMeasured,
     Invalidating,
     OutlierRemeasured,
     RemeasureRequested,
@@ -38,7 +43,7 @@ from hilcell.model.events import (
 from hilcell.model.frame import MeasuredBase, MeasuredStation, TouchedBase
 from hilcell.model.point import BOTH, Point, Sent
 from hilcell.model.results import PaperRow, Repeated
-from hilcell.model.verdicts import Fitted
+from hilcell.model.verdicts import Fitted, Verdict
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table, Value, listed, vector
 from hilcell.report.budgets import TargetBudget, place_label
@@ -160,11 +165,7 @@ class Tables:
         if not isinstance(base, MeasuredBase):
             return Table((), ())
         rows = zip(("axis 1", "axis 6"), base.radius_mm, base.circle_rms_mm, strict=True)
-        columns: tuple[Column[tuple[str, float, float]], ...] = (
-            Column("circle", itemgetter(0)),
-            Column("radius", itemgetter(1), "mm", ".4f"),
-            Column("residual rms", itemgetter(2), "mm", ".4f"),
-        )
+        columns = listed("circle", ("radius", "mm", ".4f"), ("residual rms", "mm", ".4f"))
         return Table(columns, rows, "Base frame: circles")
 
     def air(self) -> dict[str, tuple[str, Array]]:
@@ -184,13 +185,7 @@ class Tables:
         }  # fmt: skip
 
     def conditions(self) -> Table:
-        columns: tuple[Column[tuple[str | float, ...]], ...] = (
-            Column("quantity", itemgetter(0)),
-            *(
-                Column(n, itemgetter(at), form=".1f")
-                for at, n in enumerate(("least", "most", "mean"), 1)
-            ),
-        )
+        columns = listed("quantity", *((name, "", ".1f") for name in ("least", "most", "mean")))
         rows = [
             (f"{name} {unit}", values.min(), values.max(), values.mean())
             for name, (unit, values) in self.air().items()
@@ -215,11 +210,7 @@ class Tables:
     def groups(self) -> Table:
         """Return how many points of each kind were measured, in the order of the run."""
         counts = Counter(point.id.counted_with for point in self.facts.log.points.values())
-        columns: tuple[Column[tuple[str, int]], ...] = (
-            Column("kind", itemgetter(0)),
-            Column("points", itemgetter(1), form="d"),
-        )
-        return Table(columns, counts.items(), "Points")
+        return Table(listed("kind", ("points", "", "d")), counts.items(), "Points")
 
     def paper_rows(self) -> Table:
         """Return the paper's figures beside this run's, where the procedure compares them."""
@@ -341,12 +332,8 @@ class Tables:
         fit = self.facts.log.verdict(Fitted)
         if fit is not None and fit.orientation:
             note += f" Orientation {fit.orientation}."
-        columns: tuple[Column[tuple[str | int | float, ...]], ...] = (
-            Column("station", itemgetter(0)),
-            Column("error", itemgetter(1)),
-            Column("targets", itemgetter(2), form="d"),
-            *(Column(n, itemgetter(at), "°", ".4f") for at, n in enumerate(Figures._fields, 3)),
-        )
+        figures = ((name, "°", ".4f") for name in Figures._fields)
+        columns = listed("station", "error", ("targets", "", "d"), *figures)
         return Table(columns, rows, "Orientation", note)
 
     def orientation_text(self) -> str:
@@ -365,6 +352,138 @@ class Tables:
             f"The tool was turned from its nominal orientation by {means} in the mean, at most "
             f"{most} ({count} targets at {here})."
         )
+
+    def worst(self, budget: TargetBudget) -> Table:
+        """Return the corrected targets with the largest errors: places and errors in {W}.
+
+        Of a target that was measured again, both errors.
+        """
+        log = self.facts.log
+        if "world" not in log.frames:
+            return Table((), ())
+        stations, most = [station.name for station in log.cell.station], 10
+        points = [point for name in stations for point in targets(log, name, Sent.CHOSEN)]
+        order = np.argsort(-position_errors(log, points).norms_mm, kind="stable")[:most]
+        before = {
+            (point.station, point.id.number or 0): self._error_mm(point)
+            for name in stations
+            for point in targets(log, name, Sent.BEFORE)
+        }
+        rows = list[tuple[Value, ...]]()
+        for rank, n in enumerate(order, start=1):
+            point, errors = points[n], position_errors(log, [points[n]])
+            place = point.station, point.id.number or 0
+            norm_mm, bound_mm = float(errors.norms_mm[0]), budget.points_mm.get(point.key)
+            others = [p for p in (*log.repeated.get(point.key, ()), log.points[point.key])
+                      if p.xyz_mm != point.xyz_mm]  # fmt: skip
+            rows.append((
+                str(rank),
+                f"{place[1] + 1} at {place[0]}".replace(" ", "\N{NO-BREAK SPACE}"),
+                *errors.nominal_mm[0].tolist(),
+                before.get(place),
+                *errors.error_mm[0].tolist(),
+                norm_mm,
+                float(position_errors(log, others).norms_mm.max()) if others else None,
+                bound_mm,
+                None if bound_mm is None else norm_mm / bound_mm,
+            ))  # fmt: skip
+        note = (
+            "Places and errors in {W}. After ÷ bound above 1: beyond the own bound, which 5 % of "
+            "targets are expected to be. Where a target was measured again, the larger value "
+            "counts."
+        )
+        if rows:
+            key = points[order[0]].key
+            note += f" Key of the first: {key}; hilcell export RUN --csv lists every key."
+        title = "The ten worst targets" if len(rows) == most else "The worst targets"
+        shown = (
+            ("rank", "", ""), ("target", "", ""), *((axis, "mm", ".0f") for axis in "xyz"),
+            ("before", "mm", ".3f"), *((f"e{axis}", "mm", "+.3f") for axis in "xyz"),
+            ("3-D", "mm", ".3f"), ("again", "mm", ".3f"), ("95 % bound", "mm", ".3f"),
+            ("after ÷ bound", "", ".2f"),
+        )  # fmt: skip
+        return Table(listed(*shown), rows, title, note)
+
+    def volume(self) -> Table:
+        """Return the extent in {W} of the calibrated volume at each station."""
+        cell = self.facts.cell
+        centre, half = cell.grid.centre.matrix()[:3, 3], np.array(cell.grid.size_mm) / 2
+        cube_mm = centre + np.array([*product((-1.0, 1.0), repeat=3)]) * half
+        bases = [cell.layout.nominal_base(station.rail_mm) for station in cell.station]
+        corners_mm = np.array([apply(base, cube_mm) for base in bases])  # (stations, 8, 3)
+        far_m = np.linalg.norm(corners_mm - self.facts.tracker_mm, axis=2) / 1000
+        note = f"Tracker to corners: {far_m.min():.1f} to {far_m.max():.1f} m."
+        lows, highs = corners_mm.min(axis=1), corners_mm.max(axis=1)
+        extents = list[tuple[str, float, float]]()
+        most_stations = 4  # one by one
+        same_mm = 0.5
+        for n, axis in enumerate("xyz"):
+            low, high = lows[:, n], highs[:, n]
+            same = max(np.ptp(low), np.ptp(high)) <= same_mm
+            if same or len(bases) > most_stations:
+                words = axis if same else f"{axis}, {len(bases)} stations"
+                extents.append((words, float(low.min()), float(high.max())))
+            else:
+                ends = zip(cell.station, low.tolist(), high.tolist(), strict=True)
+                extents += [(f"{axis}, {at.name}", least, most) for at, least, most in ends]
+        columns = listed("in {W}, mm", ("from", "", ".0f"), ("to", "", ".0f"))
+        return Table(columns, extents, "Calibrated volume", note)
+
+    def verdicts(self) -> Table:
+        columns: tuple[Column[tuple[str, Verdict]], ...] = (
+            Column("judged", lambda row: verdict_label(row[0])),
+            Column("verdict", lambda row: "passes" if row[1].holds else "fails"),
+            Column("by", lambda row: typeset(row[1].text)),
+        )
+        return Table(columns, self.facts.log.verdicts.items(), "Verdicts")
+
+    def curves(self) -> Table:
+        def lines(record: CurveMeasured) -> str:
+            pairs = zip(record.cycles, record.amplitudes_urad, strict=True)
+            return ", ".join(f"{cycles:.1f}: {size:.1f}" for cycles, size in pairs) or "none"
+
+        note = (
+            "Found by slow sweeps in both directions: lines in cycles per revolution of the joint. "
+            "Lag: how much older the joints' readings are than the tracker's. Noise: of one "
+            "sample. Signal: share of the short-wave variance that the lines explain."
+        )
+        columns: tuple[Column[CurveMeasured], ...] = (
+            Column("axis", lambda row: f"A{row.axis}"),
+            Column("cycles: amplitude", lines, "µrad"),
+            Column("used", lambda row: "yes" if row.holds else f"no: {row.reason}"),
+            Column("from", lambda row: float(np.degrees(row.low_rad)), "°", ".1f"),
+            Column("to", lambda row: float(np.degrees(row.high_rad)), "°", ".1f"),
+            Column("lag", lambda row: row.lag_s * 1e3, "ms", ".2f"),
+            Column("lag u", lambda row: row.lag_sigma_s * 1e3, "ms", ".2f"),
+            Column("noise", lambda row: row.noise_rad * URAD, "µrad", ".1f"),
+            Column("signal", lambda row: 100 * row.share, "%", ".0f"),
+            Column("samples lost", attrgetter("lost"), form="d"),
+        )
+        return Table(columns, self.facts.log.curves.values(), "Transmission errors", note)
+
+    def models(self) -> Table:
+        """Return how far each model misses poses left out, which one was chosen, and why."""
+        fit = self.facts.log.verdict(Fitted)
+        columns = listed("model", *((name, "mm", ".3f") for name in Figures._fields))
+        if fit is None:
+            return Table(columns, (), "Choice of the correction")
+        rows = [
+            (f"{name}, chosen" if name == fit.method else name, *map(figures.get, Figures._fields))
+            for name, figures in fit.loocv.items()
+        ]
+        reasons = [f"Chosen: {fit.reason}."]
+        reasons += [f"No {name} model: {why}." for name, why in fit.refused.items()]
+        reasons += [f"Curves of the axis sweeps: {fit.curves.reason}."] if fit.curves.reason else []
+        unswept = self.facts.result.get("sweeps", {}).get("left_out", "")
+        reasons += [f"Axes not swept: {unswept}."] if unswept else []
+        return Table(columns, rows, "Choice of the correction", " ".join(reasons))
+
+
+def typeset(words: str) -> str:
+    signs = {"<=": "≤", r"\+-": "±", r" deg\b": "°", r"\burad\b": "µrad"}
+    for written, shown in signs.items():
+        words = re.sub(written, shown, words)
+    return words
 
 
 # A station, and its frame's record.
@@ -394,59 +513,6 @@ FRAMES: tuple[Column[Posed], ...] = (
     *vector("", "xyz", "mm", "zyx", ".3f"),
     *vector("", "ABC", "°", "zyx", ".4f", first=3),
 )
-
-
-# -- the ten worst corrected targets, of re-measured ones both values ------------------------------
-
-
-def worst(facts: Facts, budget: TargetBudget) -> Table:
-    """Return the corrected targets with the largest errors: places and errors in {W}."""
-    log = facts.log
-    if "world" not in log.frames:
-        return Table((), ())
-    stations, most = [station.name for station in log.cell.station], 10
-    points = [point for name in stations for point in targets(log, name, Sent.CHOSEN)]
-    order = np.argsort(-position_errors(log, points).norms_mm, kind="stable")[:most]
-    before = {
-        (point.station, point.id.number): float(position_errors(log, [point]).norms_mm[0])
-        for name in stations
-        for point in targets(log, name, Sent.BEFORE)
-    }
-    rows = list[tuple[Value, ...]]()
-    for rank, n in enumerate(order, start=1):
-        point, errors = points[n], position_errors(log, [points[n]])
-        norm_mm, bound_mm = float(errors.norms_mm[0]), budget.points_mm.get(point.key)
-        others = [p for p in (*log.repeated.get(point.key, ()), log.points[point.key])
-                  if p.xyz_mm != point.xyz_mm]  # fmt: skip
-        rows.append((
-            str(rank),
-            f"{(point.id.number or 0) + 1} at {point.station}".replace(" ", "\N{NO-BREAK SPACE}"),
-            *errors.nominal_mm[0].tolist(),
-            before.get((point.station, point.id.number)),
-            *errors.error_mm[0].tolist(),
-            norm_mm,
-            float(position_errors(log, others).norms_mm.max()) if others else None,
-            bound_mm,
-            None if bound_mm is None else norm_mm / bound_mm,
-        ))  # fmt: skip
-    note = (
-        "Places and errors in {W}. After ÷ bound above 1: beyond the own bound, which 5 % of "
-        "targets are expected to be. Where a target was measured again, the larger value counts."
-    )
-    if rows:
-        key = points[order[0]].key
-        note += f" Key of the first: {key}; hilcell export RUN --csv lists every key."
-    title = "The ten worst targets" if len(rows) == most else "The worst targets"
-    shown = (
-        ("rank", "", ""), ("target", "", ""), *((axis, "mm", ".0f") for axis in "xyz"),
-        ("before", "mm", ".3f"), *((f"e{axis}", "mm", "+.3f") for axis in "xyz"),
-        ("3-D", "mm", ".3f"), ("again", "mm", ".3f"), ("95 % bound", "mm", ".3f"),
-        ("after ÷ bound", "", ".2f"),
-    )  # fmt: skip
-    columns: list[Column[tuple[Value, ...]]] = [
-        Column(name, itemgetter(n), unit, form) for n, (name, unit, form) in enumerate(shown)
-    ]
-    return Table(columns, rows, title, note)
 
 
 # -- points measured more than once: both values, why, and which counts ----------------------------

@@ -27,7 +27,7 @@ from hilcell.model.verdicts import (
     verdict_type,
 )
 from hilcell.report.facts import read_facts
-from hilcell.report.first_page import verdicts as verdicts_table
+from hilcell.report.tables import Tables
 from hilcell.run.cell_session import CellSession
 from tests.hilcell import verdicts
 from tests.hilcell.report.journals import Writer
@@ -257,7 +257,7 @@ def test_a_verdict_of_a_plug_in_passes_through_journal_show_and_export(tmp_path:
     folder = writer.ended(code=1)
     facts = read_facts(folder)
     assert facts.log.verdicts == {"glue-bond": OtherVerdict(holds=False, facts=BOND)}
-    (row,) = verdicts_table(facts).texts()
+    (row,) = Tables(facts).verdicts().texts()
     assert row == ["glue bond", "fails", "worst 0.2500 mm, count 3, dry yes"]
     shown = json.loads(command("show", "r", "--json", "--runs", tmp_path).stdout)
     assert shown["verdicts"]["glue-bond"] == {"holds": False} | BOND

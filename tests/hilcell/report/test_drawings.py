@@ -16,7 +16,7 @@ from hilcell.report.drawings.error_plots import ErrorPlots, strip, variance_bar
 from hilcell.report.drawings.views import side_view
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.first_page import Result
-from hilcell.report.tables import worst
+from hilcell.report.tables import Tables
 from tests.hilcell.report.drawn import assert_apart
 from tests.hilcell.report.journals import Writer, validated_run
 from tests.whole.golden import GoldenRuns
@@ -78,7 +78,7 @@ def test_the_worst_come_first_with_both_values(tmp_path: Path) -> None:
     nominal_mm = (100.0, 50.0, 970.0)
     writer.point(id, (100.0, 50.0, 970.4), "S300", nominal_mm=nominal_mm)
     facts = writer.facts()
-    found = worst(facts, target_budget(facts.log, "r"))
+    found = Tables(facts).worst(target_budget(facts.log, "r"))
     assert found is not None
     first = dict(zip(found.headers, found.texts()[0], strict=True))
     wanted = {"rank": "1", "target": "2\u00a0at\u00a0S300", "z mm": "970", "before mm": "2.000",

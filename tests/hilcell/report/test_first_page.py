@@ -22,8 +22,9 @@ from hilcell.model.verdicts import Oriented, OtherVerdict, PoseTested, Verdict
 from hilcell.report.budgets import TargetBudget
 from hilcell.report.drawings.views import plan_view
 from hilcell.report.facts import Facts, read_facts
-from hilcell.report.first_page import Certificate, FirstPage, instruments, typeset
-from hilcell.report.html import ReportText, report_html
+from hilcell.report.first_page import Certificate, FirstPage
+from hilcell.report.html import report_html
+from hilcell.report.tables import typeset
 from hilcell.report.timeline import timeline
 from tests.hilcell import verdicts
 from tests.hilcell.commands.finished_runs import MADE, REDO, finished
@@ -74,11 +75,11 @@ TURNED: dict[str, Any] = {
 
 
 def test_the_figure_that_decided_and_its_limit_stand_in_the_sentence(tmp_path: Path) -> None:
-    undecided = ReportText(judged(tmp_path / "r", code=1, **TURNED)).sentence()
+    undecided = FirstPage(judged(tmp_path / "r", code=1, **TURNED)).sentence()
     assert "0.0220 + U 0.0150°" in undecided
     assert "0.03°" in undecided
     both: dict[str, Any] = {"decided": Outcome.REJECTED, "max_mm": 0.4, "mean_mm": 0.1}
-    rejected = ReportText(judged(tmp_path / "s", code=1, **(TURNED | both))).sentence()
+    rejected = FirstPage(judged(tmp_path / "s", code=1, **(TURNED | both))).sentence()
     assert "0.4000 + U 0.0500 mm" in rejected
     assert "0.3 mm" in rejected
     assert "0.0220" not in rejected
@@ -102,7 +103,7 @@ def test_report_and_list_of_runs_have_one_word(
     folder = writer.ended(code=code)
     facts = read_facts(folder)
     assert FirstPage(facts).verdict_title() == word
-    assert row_of(folder).verdict == ReportText(facts).status()[1] == word.lower()
+    assert row_of(folder).verdict == FirstPage(facts).status()[1] == word.lower()
 
 
 def test_results_beside_their_limits(tmp_path: Path) -> None:
@@ -129,7 +130,7 @@ def test_certificates_of_the_cell_file_make_it_a_certificate(tmp_path: Path) -> 
     certified = msgspec.structs.replace(cell, uncertainty=stated)
     assert certified.digest == cell.digest
     facts = judged(tmp_path / "r", plan={"cell": msgspec.to_builtins(certified)})
-    found = instruments(facts)
+    found = FirstPage(facts).instruments()
     assert [row[3] for row in found.texts()] == ["TC-17, 2026-04-17", "SC-88", "KC-90", "simulated"]
     assert found.texts()[0][2] == "750123"
     assert Certificate(facts).title() == "Calibration certificate"
@@ -175,9 +176,9 @@ def test_a_revoked_calibration_says_so_and_ended_when_it_did(tmp_path: Path) -> 
     facts = writer.facts()
     assert facts.revoked == "wrong reflector"
     assert facts.last.kind == "end"
-    assert ReportText(facts).status() == ("bad", "its calibration is revoked: wrong reflector")
-    assert ReportText(facts).sentence().startswith("The calibration of this run was revoked")
-    assert ReportText(facts).time_span()
+    assert FirstPage(facts).status() == ("bad", "its calibration is revoked: wrong reflector")
+    assert FirstPage(facts).sentence().startswith("The calibration of this run was revoked")
+    assert FirstPage(facts).time_span()
     assert glossary_terms(facts, "Validity").startswith("REVOKED: wrong reflector; the results")
 
 
@@ -277,13 +278,13 @@ def test_a_later_run_revokes_or_supersedes(tmp_path: Path) -> None:
     facts = read_facts(tmp_path / "1-made")
     assert FirstPage(facts).verdict_title() == "REVOKED"
     reason = "by 2-re-checked: its re-check says redo"
-    assert ReportText(facts).status() == ("bad", f"its calibration is revoked: {reason}")
+    assert FirstPage(facts).status() == ("bad", f"its calibration is revoked: {reason}")
     assert FirstPage(facts).validity_facts() == []
     finished(tmp_path, "3-made", MADE)
     finished(tmp_path, "4-made", MADE)
-    words = ReportText(read_facts(tmp_path / "3-made")).status()[1]
+    words = FirstPage(read_facts(tmp_path / "3-made")).status()[1]
     assert words.endswith("; its calibration is superseded by 4-made")
-    assert "superseded" not in ReportText(read_facts(tmp_path / "4-made")).status()[1]
+    assert "superseded" not in FirstPage(read_facts(tmp_path / "4-made")).status()[1]
 
 
 def test_a_suspected_cause_is_the_verdict_where_no_limit_is_missed(tmp_path: Path) -> None:
@@ -295,7 +296,7 @@ def test_a_suspected_cause_is_the_verdict_where_no_limit_is_missed(tmp_path: Pat
     read = read_facts(writer.ended(code=1))
     facts = dataclasses.replace(read, result=read.result | {"suspicions": [cause]})
     assert FirstPage(facts).verdict_title() == "SUSPECTED"
-    assert re.match(r".*mount slipped.*0\.24.*Correct nothing by it", ReportText(facts).sentence())
+    assert re.match(r".*mount slipped.*0\.24.*Correct nothing by it", FirstPage(facts).sentence())
     cleared = dataclasses.replace(facts, status=CalibrationStatus("current"))
     assert facts.suspected
     assert not cleared.suspected
@@ -322,11 +323,11 @@ def test_a_run_that_is_undecided_and_suspected_is_undecided_on_the_first_page(
 
 def test_times_are_those_of_the_wall_beside_utc(tmp_path: Path) -> None:
     utc = judged(tmp_path / "u")
-    assert ReportText(utc).time_span().endswith(" UTC")
-    assert "UTC+" not in ReportText(utc).time_span()
+    assert FirstPage(utc).time_span().endswith(" UTC")
+    assert "UTC+" not in FirstPage(utc).time_span()
     there = judged(tmp_path / "r", plan={"utc_offset_min": 330})
-    assert "UTC+05:30 (" in ReportText(there).time_span()
-    assert ReportText(there).time_span().endswith(" UTC)")
+    assert "UTC+05:30 (" in FirstPage(there).time_span()
+    assert FirstPage(there).time_span().endswith(" UTC)")
     listed = timeline(there)
     assert listed.headers[0] == "UTC+05:30 (UTC)"
     hours = [int(time[-9:-7]) * 60 + int(time[-6:-4]) for time, _ in listed.texts()]

@@ -20,7 +20,8 @@ from hilcell.model.verdicts import CurvesUsed
 from hilcell.report.drawings.views import plan_view
 from hilcell.report.export import csv_bytes, json_bytes, xlsx_bytes
 from hilcell.report.facts import Facts, read_facts
-from hilcell.report.html import GLOSSARY, ReportText, glossary_terms, report_html
+from hilcell.report.html import GLOSSARY, glossary_terms, report_html
+from hilcell.report.tables import Tables
 from tests.hilcell.identification.test_sweeps import FOUND, body_of
 from tests.hilcell.report.journals import AFTER_MM, BEFORE_MM, Writer, validated_run
 from tests.hilcell.report.pages import Page
@@ -235,12 +236,12 @@ def test_a_grid_without_validation_shows_its_vectors(tmp_path: Path) -> None:
 
 def test_each_axis_has_its_line_its_picture_and_its_reason(tmp_path: Path) -> None:
     writer = validated_run(tmp_path / "r")
-    assert not ReportText(read_facts(writer.folder)).curves()
+    assert not Tables(read_facts(writer.folder)).curves()
     writer.journal.append("event", "", body_of(FOUND))
     writer.journal.append("event", "", body_of(without_curve(4, "upwards: 9 samples")))
     writer.state("calibration", "validated")
     facts = writer.facts()
-    sheet = ReportText(facts).curves()
+    sheet = Tables(facts).curves()
     assert [row[:3] for row in sheet.texts()] == [
         ["A2", "40.0: 31.6, 203.5: 20.0", "yes"],
         ["A5", "none", "no: upwards: 9 samples"],
