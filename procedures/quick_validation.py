@@ -24,13 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hilcell.calibration.decision_rule import (
-    NO_GUARD,
-    Guard,
-    guard_band,
-    limits_within,
-    tolerance_limits,
-)
+from hilcell.calibration.decision_rule import Guard, guard_band, tolerance_limits
 from hilcell.calibration.position_errors import validation
 from hilcell.cell.file import Cell
 from hilcell.geometry.kinematics import Bools
@@ -49,12 +43,12 @@ OCTANTS = np.array(  # of a box, in an order whose every step crosses one face
 BLOCK = len(OCTANTS)
 
 
-def rule_of(cell: Cell, guard: Guard = NO_GUARD) -> SequentialRule:
+def rule_of(cell: Cell, guard: Guard) -> SequentialRule:
     """Return the rule by which each station is judged.
 
     Its limits are the tolerances less ``guard``, as in `hilcell.calibration.decision_rule`.
     """
-    within = limits_within(tolerance_limits(cell), guard)
+    within = guard.within(tolerance_limits(cell))
     least_mm = 1e-6  # a limit that no error keeps, where U leaves nothing of the tolerance
     return SequentialRule(
         mean_limit_mm=max(within.mean_mm, least_mm),
@@ -70,7 +64,7 @@ def least_targets(cell: Cell) -> int:
     """Return how many targets an acceptance needs at least; raises `HilcellError` where the plan
     has fewer.
     """
-    decision = rule_of(cell).decide(np.zeros(cell.plan.most_targets))
+    decision = rule_of(cell, Guard()).decide(np.zeros(cell.plan.most_targets))
     if decision.outcome is not Outcome.ACCEPTED:
         raise HilcellError(
             f"plan.most_targets {cell.plan.most_targets}: not enough to accept a station at "
@@ -97,7 +91,7 @@ def decision_at(log: Log, station: str) -> Decision:
     """Return what the corrected targets measured so far at a station have shown."""
     chosen = validation(log, [station]).get(Sent.CHOSEN)
     if chosen is None:
-        return rule_of(log.cell).decide([])
+        return rule_of(log.cell, Guard()).decide([])
     return rule_of(log.cell, guard_at(log, station)).decide(chosen.norms_mm)
 
 
@@ -161,7 +155,7 @@ def judgement(log: Log, stations: list[str]) -> Decided:
 def meaning(cell: Cell, outcome: Outcome, guard: Guard, *, enough: bool) -> str:
     """Return the explanation of an outcome; ``enough``: more targets would not change it."""
     plan, limits = cell.plan, tolerance_limits(cell)
-    within = limits_within(limits, guard)
+    within = guard.within(limits)
     if outcome is Outcome.ACCEPTED:
         return (
             f"it is shown, at a risk of {plan.accept_risk:.1%} each, that the mean is below "

@@ -12,8 +12,8 @@ from hilcell.calibration.budget import coverages
 from hilcell.calibration.decision_rule import (
     check_limits,
     class_warning,
+    decide,
     guard_band,
-    judged,
     tolerance_limits,
 )
 from hilcell.calibration.from_run import learnt_so_far
@@ -36,7 +36,6 @@ from hilcell.compensation.model import ErrorModel
 from hilcell.compensation.model_choice import MODELS
 from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.journal.log import Log
-from hilcell.model.outcome import Outcome
 from hilcell.model.plan import PlannedStep
 from hilcell.model.point import BOTH, PointId, Sent
 from hilcell.model.results import Place, SentErrors, TargetBounds
@@ -151,14 +150,13 @@ class Validate:
         for where, stations in judged_places(session.cell).items():
             place = self._place_of(session.log, where, stations)
             orientations = validated_orientation_errors(session.log, stations).get(Sent.CHOSEN)
-            found = judged(
+            found = decide(
                 place.chosen.mean,
                 place.chosen.max,
                 limits,
                 guard_band(session.log, place.points),
                 orientation=largest_orientation_error(session.log, orientations),
-                also=Outcome.ACCEPTED if place.decision is None else place.decision.outcome,
-                words="" if place.decision is None else place.decision.text,
+                sequential=place.decision,
             )
             session.judge(f"{VALIDATION}{where}", found)
         self._judge_orientation(session)

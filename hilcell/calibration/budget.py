@@ -29,7 +29,7 @@ from hilcell.calibration.influence import (
     combined_bounds,
     motion,
     moved_frame,
-    no_less_than_nought,
+    nearest_semidefinite,
 )
 from hilcell.calibration.lost_motion import reversal
 from hilcell.calibration.position_errors import (
@@ -102,7 +102,7 @@ class _Lines:
         """Scatter of visits in {B}, less the readings'."""
         R = (inverse(self.log.matrix("base")) @ self.log.matrix("world"))[:3, :3]
         scatter_mm2, visits, places = visit_scatter(self.log, R)
-        robot_mm2 = no_less_than_nought(
+        robot_mm2 = nearest_semidefinite(
             scatter_mm2 - _mean_reading_mm2(self.log.select("repeatability"), R)
         )
         freedom = trace_freedom(scatter_mm2, visits - places)
@@ -110,7 +110,7 @@ class _Lines:
             "Robot repeatability", MEASURED,
             f"{visits} visits of {places} places, less the readings' noise", "4.2.4", "base",
             motion(robot_mm2), freedom=freedom if math.isfinite(freedom) else None,
-            within_model=True, alone=True,
+            in_model=True, per_visit=True,
         )  # fmt: skip
 
     def approach(self) -> Influence:
@@ -155,7 +155,7 @@ class _Lines:
         return Influence(
             "World frame", f"{MEASURED}, and {ASSUMED}",
             "noise of the three floor nests and the reflector's centring in each, carried to the "
-            "target", "5.1.2", "world", moved_frame(known), counts="in use",
+            "target", "5.1.2", "world", moved_frame(known), applies="in use",
         )  # fmt: skip
 
     def tracker(self) -> Influence:
@@ -168,7 +168,7 @@ class _Lines:
         return Influence(
             "Tracker, systematic", stated.tracker_source or ASSUMED, how, "4.3.7", "world",
             motion(rectangular_variance(stated.tracker_limit_mm), turn), (x_mm, y_mm, z_mm),
-            counts="in use",
+            applies="in use",
         )  # fmt: skip
 
     def drill(self) -> Influence:
@@ -183,7 +183,7 @@ class _Lines:
         )
         return Influence(
             DRILL, ASSUMED, how, "5.1.2", "tool", motion(0.0, turn), (-x_mm, -y_mm, -z_mm),
-            counts="in use",
+            applies="in use",
         )  # fmt: skip
 
     def placed(self, station: Station) -> list[Influence]:
@@ -218,7 +218,7 @@ class _Lines:
 
 def _limit(name: str, how: str, limit_mm: float, source: str = ASSUMED) -> Influence:
     shift = motion(rectangular_variance(limit_mm))
-    return Influence(name, source, how, "4.3.7", "base", shift, counts="in use")
+    return Influence(name, source, how, "4.3.7", "base", shift, applies="in use")
 
 
 def with_drill(
@@ -246,9 +246,8 @@ def with_drill(
     ]
     if u_mm:
         how = f"1 sigma {u_mm:g} mm against the reflector, as the cell file states it"
-        lines.append(
-            Influence("Tool's tip", ASSUMED, how, "4.3.7", "tool", motion(u_mm**2), counts="in use")
-        )
+        own = motion(u_mm**2)
+        lines.append(Influence("Tool's tip", ASSUMED, how, "4.3.7", "tool", own, applies="in use"))
     return msgspec.structs.replace(stated, lines=lines)
 
 
@@ -262,7 +261,7 @@ def touched(log: Log, station: Station) -> Influence | None:
     how = f"station frame, strip and {frame.poses} touch poses of the visit"
     return Influence(
         "Touched base", MEASURED, how, "5.2.2", "world", covariance, (x_mm, y_mm, z_mm),
-        counts="in validation",
+        applies="in validation",
     )  # fmt: skip
 
 
@@ -291,7 +290,7 @@ def in_validation(log: Log, station: Station, points: Sequence[Point]) -> list[I
     R = log.matrix("world")[:3, :3]
     readings = Influence(
         "Tracker, readings", MEASURED, f"scatter of the readings of {len(points)} points", "4.2.3",
-        "world", motion(_mean_reading_mm2(points, R)), counts="in validation", alone=True,
+        "world", motion(_mean_reading_mm2(points, R)), applies="in validation", per_visit=True,
     )  # fmt: skip
     grown = growth_since(log, log.select("grid"), points, "the grid's mean")
     frame = log.frames.get(f"touch.{station.name}")
@@ -376,7 +375,7 @@ def lines_in_use(calibration: Calibration, station: str) -> list[Influence]:
     """Lines of the budget in use, except for the temperature's."""
     stated = calibration.budget
     lines = (*stated.lines, *stated.stations[station])
-    return [each for each in lines if each.counts != "in validation"]
+    return [each for each in lines if each.applies != "in validation"]
 
 
 def cube_bounds(calibration: Calibration, station: str) -> Bounds:
@@ -417,7 +416,7 @@ def lines_in_validation(
     stated, stop = calibration.budget, log.cell.station_named(station)
     on_visit = touched(log, stop)
     placed = stated.stations[station] if on_visit is None else [on_visit]
-    lines = [each for each in (*stated.lines, *placed) if each.counts != "in use"]
+    lines = [each for each in (*stated.lines, *placed) if each.applies != "in use"]
     return [*lines, *in_validation(log, stop, points)]
 
 

@@ -19,20 +19,23 @@ from hilcell.cell.file import Cell
 from hilcell.geometry.statistics import figures_of, lengths_mm, rectangular_variance
 from hilcell.journal.log import Log
 from hilcell.model.outcome import Outcome, gravest
+from hilcell.model.results import Decided
 from hilcell.model.verdicts import Judged, Limits, OrientationError
 from hilcell.ports import Array, HilcellError
 from hilcell.sanitize import counted
 
 
 class Guard(NamedTuple):
-    """Expanded uncertainties of mean and largest 3D error, mm."""
+    """Expanded uncertainties of mean and largest 3D error, mm; 0 before anything is measured."""
 
-    mean_mm: float
-    max_mm: float
+    mean_mm: float = 0.0
+    max_mm: float = 0.0
 
-
-UNKNOWN_ORIENTATION = OrientationError(math.nan, math.nan)  # accepts nothing
-NO_GUARD = Guard(0.0, 0.0)  # before anything is measured
+    def within(self, limits: Limits) -> Limits:
+        """Acceptance limits: the limits less U, negative where U is larger."""
+        return limits._replace(
+            mean_mm=limits.mean_mm - self.mean_mm, max_mm=limits.max_mm - self.max_mm
+        )
 
 
 def tolerance_limits(cell: Cell) -> Limits:
@@ -91,25 +94,17 @@ def guard_band(log: Log, count: int) -> Guard:
     return Guard(budget.of_mean_of(count), budget.U_mm)
 
 
-def limits_within(limits: Limits, guard: Guard) -> Limits:
-    """Acceptance limits: the limits less U, negative where U is larger."""
-    return limits._replace(
-        mean_mm=limits.mean_mm - guard.mean_mm, max_mm=limits.max_mm - guard.max_mm
-    )
-
-
-def judged(
+def decide(
     mean_mm: float,
     max_mm: float,
     limits: Limits,
     guard: Guard,
     *,
     orientation: OrientationError | None = None,
-    also: Outcome = Outcome.ACCEPTED,
-    words: str = "",
+    sequential: Decided | None = None,
 ) -> Judged:
-    """Decide on mean and largest error, and on ``orientation`` by its limit. ``also``: outcome of
-    another test that must accept as well; ``words``: its text.
+    """Decide on mean and largest error, on ``orientation`` by its limit, and accept only what the
+    ``sequential`` test of a quick plan accepts as well.
     """
     stated = Judged(
         holds=False,
@@ -129,29 +124,17 @@ def judged(
             max_tolerance_deg=limits.max_deg,
             max_U_deg=orientation.U_deg,
         )
-    outcome = gravest([also, *(each.outcome for each in stated.figures)])
-    return replace(
-        stated,
-        holds=outcome is Outcome.ACCEPTED,
-        decided=outcome,
-        decision=words if words and outcome is also else outcome.decision,
-    )
+    outcome = gravest(each.outcome for each in stated.figures)
+    text = outcome.decision
+    if sequential is not None:
+        outcome = gravest([sequential.outcome, outcome])
+        text = sequential.text if outcome is sequential.outcome else outcome.decision
+    return replace(stated, holds=outcome is Outcome.ACCEPTED, decided=outcome, decision=text)
 
 
-def judged_again(stated: Judged, limits: Limits | None = None) -> Judged:
-    guard = Guard(stated.mean_U_mm, stated.max_U_mm)
-    return judged(
-        stated.mean_mm,
-        stated.max_mm,
-        limits or stated.limits,
-        guard,
-        orientation=stated.orientation,
-    )
-
-
-def judged_errors(log: Log, errors_mm: Array) -> Judged:
+def decide_errors(log: Log, errors_mm: Array) -> Judged:
     """Decide on 3D errors (N, 3) of a run, by its cell's limits."""
     found = figures_of(lengths_mm(errors_mm))
-    return judged(
+    return decide(
         found.mean, found.max, tolerance_limits(log.cell), guard_band(log, len(errors_mm))
     )

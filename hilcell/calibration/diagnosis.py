@@ -53,7 +53,7 @@ from hilcell.calibration.frames import (
     world_covariance,
 )
 from hilcell.calibration.from_run import learnt_so_far
-from hilcell.calibration.influence import SIZE, NoBound, motion, no_less_than_nought
+from hilcell.calibration.influence import SIZE, NoBound, motion, nearest_semidefinite
 from hilcell.calibration.instrument import axis_off, scale
 from hilcell.calibration.lost_motion import lost_too_much
 from hilcell.calibration.measurement_budget import systematic_mm2
@@ -321,8 +321,9 @@ def _hold(
     predicted = calibration.error_model().predict(poses)
     off_mm = apply(T_B_L, positions_mm(points)) - poses[:, :3, 3] - predicted.error_mm
     R = T_B_L[:3, :3]
-    noise_mm2 = visit_noise(log).covariances(points, R)
-    model_mm2 = no_less_than_nought(predicted.covariance_mm2 - R @ visit_noise(log).robot_mm2 @ R.T)
+    noise = visit_noise(log)
+    noise_mm2 = noise.covariances(points, R)
+    model_mm2 = nearest_semidefinite(predicted.covariance_mm2 - R @ noise.robot_mm2 @ R.T)
     shared = np.array([repeats[_place(point)] for point in points], dtype=float)
     covariance_mm2 = noise_mm2 + shared[:, None, None] * model_mm2
     return off_mm, covariance_mm2, _placed(log, T_W_B, points[0])

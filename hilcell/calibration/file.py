@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hilcell.atomic_files import write_whole
-from hilcell.calibration.decision_rule import judged_again
 from hilcell.calibration.influence import SIZE, NoBound, Uncertainty
 from hilcell.calibration.tool_point import AT_REFLECTOR, Tip
 from hilcell.cell.settings import SettingsError, read_file
@@ -42,6 +41,7 @@ from hilcell.geometry.frames import (
 )
 from hilcell.geometry.kinematics import Bools
 from hilcell.model.calibration import Provenance, StationEntry
+from hilcell.model.outcome import Outcome
 from hilcell.model.verdicts import Judged
 from hilcell.ports import Array, HilcellError
 from hilcell.sanitize import counted
@@ -354,7 +354,7 @@ class _Checks:
             yield from self._rotation(f"validity.orientations.{number}", self._array(R))
         tolerance_deg = validity.orientation_tolerance_deg
         name = "validity.orientation_tolerance_deg"
-        yield from self._above_nought(name, tolerance_deg, self.MOST_ROTATION_DEG)
+        yield from self._positive(name, tolerance_deg, self.MOST_ROTATION_DEG)
         if validity.temperature_c is None:
             return
         yield from self._within("validity.temperature_c", validity.temperature_c, self.MOST_C, "C")
@@ -392,7 +392,7 @@ class _Checks:
             if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
                 yield f"{at}.covariance: expected 6 x 6 finite numbers"
             tool_mm = station.tool_uncertainty_mm
-            yield from self._from_nought(f"{at}.tool_uncertainty_mm", tool_mm, self.MOST_ERROR_MM)
+            yield from self._not_negative(f"{at}.tool_uncertainty_mm", tool_mm, self.MOST_ERROR_MM)
             yield from self._within(f"{at}.strip_mm", station.strip_mm, MOST_MM, "mm")
 
     def uncertainty(self) -> Iterator[str]:
@@ -403,16 +403,16 @@ class _Checks:
             found = ", ".join(stated.stations) or "none"
             yield f"uncertainty.stations: of {found[:40]}, expected the same as in stations"
         if stated.model_samples is not None:
-            yield from self._above_nought("uncertainty.model_samples", stated.model_samples)
-        yield from self._from_nought("uncertainty.growth_per_k", stated.growth_per_k, self.MOST_C)
-        yield from self._from_nought("uncertainty.air_range_k", stated.air_range_k, self.MOST_C)
+            yield from self._positive("uncertainty.model_samples", stated.model_samples)
+        yield from self._not_negative("uncertainty.growth_per_k", stated.growth_per_k, self.MOST_C)
+        yield from self._not_negative("uncertainty.air_range_k", stated.air_range_k, self.MOST_C)
         for each in chain(stated.lines, *stated.stations.values()):
             at = f"uncertainty, {each.name[:40]}"
             yield from self._within(f"{at}: origin_mm", each.origin_mm, MOST_MM, "mm")
             if not self._is_covariance(self._array(each.covariance)):
                 yield f"{at}: expected a covariance of {SIZE} x {SIZE} numbers"
             if each.freedom is not None:
-                yield from self._above_nought(f"{at}: freedom", each.freedom)
+                yield from self._positive(f"{at}: freedom", each.freedom)
 
     def lost_motion(self) -> Iterator[str]:
         lost = self.calibration.lost_motion
@@ -439,7 +439,7 @@ class _Checks:
         if self.calibration.targets is None:
             return
         variance_mm2, most_mm2 = self.calibration.targets.variance_mm2, self.MOST_ERROR_MM**2
-        yield from self._above_nought("targets.variance_mm2", variance_mm2, most_mm2)
+        yield from self._positive("targets.variance_mm2", variance_mm2, most_mm2)
         for each in self.calibration.targets.passes:
             at, count = f"targets of run {each.run[:40]}", len(each.names)
             for name, values, shape, most in (
@@ -469,7 +469,7 @@ class _Checks:
                 )
             elif not all(limit is None or limit > 0 for limit in each.limits):
                 yield f"{at}: a tolerance that is not above 0"
-            elif each.holds and not judged_again(each).holds:
+            elif each.holds and any(of.outcome is not Outcome.ACCEPTED for of in each.figures):
                 yield f"{at}: passes, but its figures fail: {each.figures_text}"
 
     @staticmethod
@@ -480,7 +480,7 @@ class _Checks:
         rounding = 1e-6  # of a covariance, relative
         if not np.abs(covariance - covariance.T).max() <= rounding * np.abs(covariance).max():
             return False
-        least_variance = 1e-30  # likewise; below is nought
+        least_variance = 1e-30  # likewise; below is 0
         scale = np.sqrt(np.maximum(np.diag(covariance), least_variance))
         return bool(np.linalg.eigvalsh(covariance / np.outer(scale, scale)).min() >= -rounding)
 
@@ -495,14 +495,13 @@ class _Checks:
         yield from _Checks._within(name, frame[:3, 3], MOST_MM, "mm")
 
     @staticmethod
-    def _above_nought(name: str, value: float, most: float = math.inf) -> Iterator[str]:
+    def _positive(name: str, value: float, most: float = math.inf) -> Iterator[str]:
         if not 0 < value <= most:
-            yield f"{name}: {value:g}, expected above 0" + (
-                f", <= {most:g}" if most < math.inf else ""
-            )
+            limit = f", <= {most:g}" if most < math.inf else ""
+            yield f"{name}: {value:g}, expected above 0{limit}"
 
     @staticmethod
-    def _from_nought(name: str, value: float, most: float) -> Iterator[str]:
+    def _not_negative(name: str, value: float, most: float) -> Iterator[str]:
         if not 0 <= value <= most:
             yield f"{name}: {value:g}, expected 0 .. {most:g}"
 

@@ -163,7 +163,7 @@ def _touched(calibration: Calibration, log: Log, run: str, name: str) -> Calibra
     stations = calibration.stations | {name: entry}
     uncertainty, line = calibration.uncertainty, touched(log, log.cell.station_named(name))
     if not uncertainty.missing and line is not None:
-        placed = uncertainty.stations | {name: [msgspec.structs.replace(line, counts="always")]}
+        placed = uncertainty.stations | {name: [msgspec.structs.replace(line, applies="always")]}
         uncertainty = msgspec.structs.replace(uncertainty, stations=placed)
     return _updated(calibration, update, stations=stations, uncertainty=uncertainty)
 

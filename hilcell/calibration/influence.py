@@ -23,32 +23,33 @@ MEASURED, ASSUMED = "measured in this run", "stated assumption"
 MODEL = "Error model"
 SIZE = 7  # shift, rotation, growth
 
-Frame = Literal["world", "base", "tool"]
-Counts = Literal["always", "in use", "in validation"]
 
-
-class Influence(msgspec.Struct, frozen=True):
+class Influence(
+    msgspec.Struct,
+    frozen=True,
+    rename={"applies": "counts", "per_visit": "alone", "in_model": "within_model"},
+):
     """One line: name, source, method of evaluation and clause of the GUM.
 
     ``covariance`` (7, 7): shift (3,) in mm, rotation vector (3,) in rad and growth (ratio of
     lengths) about ``origin_mm``, axes of ``frame``: {W}, {B} of the station, or {T} of the target.
-    ``freedom``: degrees of freedom of its estimate, None where it is known. It may count in use
-    only, or in the run's validation only. An ``alone`` line differs from visit to visit; the others
-    move all targets together. ``within_model``: contained in the error model's covariance, because
-    the model was learnt from single visits; only the excess over it is the model's.
+    ``freedom``: degrees of freedom of its estimate, None where it is known. It applies in use only,
+    in the run's validation only, or in both. A ``per_visit`` line differs from visit to visit; the
+    others move all targets together. ``in_model``: contained in the error model's covariance,
+    because the model was learnt from single visits; only the excess over it is the model's.
     """
 
     name: str
     source: str
     how: str
     clause: str
-    frame: Frame
+    frame: Literal["world", "base", "tool"]
     covariance: list[list[float]]
     origin_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     freedom: float | None = None
-    counts: Counts = "always"
-    alone: bool = False
-    within_model: bool = False
+    applies: Literal["always", "in use", "in validation"] = "always"
+    per_visit: bool = False
+    in_model: bool = False
 
     def at(self, frames: Array, targets_mm: Array) -> Array:
         """Covariances (N, 3, 3) in {W} at targets (N, 3); ``frames`` are its own."""
@@ -177,8 +178,8 @@ def combined_bounds(
     ]  # fmt: skip
     model_mm2 = R @ model_mm2 @ R.T
     for each, part in zip(influences, parts, strict=True):
-        if each.within_model:
-            model_mm2 = no_less_than_nought(model_mm2 - part.covariance_mm2)
+        if each.in_model:
+            model_mm2 = nearest_semidefinite(model_mm2 - part.covariance_mm2)
     freedom = math.inf
     if model_samples is not None:
         freedom = trace_freedom(model_mm2.mean(axis=0), model_samples)
@@ -189,7 +190,7 @@ def combined_bounds(
     return Bounds([model, *parts])
 
 
-def no_less_than_nought(covariances: Array) -> Array:
-    """Nearest covariances (..., 3, 3) without negative variances."""
+def nearest_semidefinite(covariances: Array) -> Array:
+    """Nearest positive semidefinite matrices to (..., 3, 3): negative variances become 0."""
     values, axes = np.linalg.eigh(covariances)
     return np.asarray((axes * np.maximum(values, 0.0)[..., None, :]) @ np.swapaxes(axes, -1, -2))

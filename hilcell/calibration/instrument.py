@@ -146,8 +146,7 @@ def judged_faces(
     """Judge readings (N, 3) in both faces, in the tracker's own frame."""
     x, y, z = front_mm.T
     flat_mm, range_mm = np.hypot(x, y), np.linalg.norm(front_mm, axis=1)
-    nought = np.zeros(len(x))
-    around = np.stack([-y, x, nought], axis=1) / flat_mm[:, None]
+    around = np.stack([-y, x, np.zeros(len(x))], axis=1) / flat_mm[:, None]
     down = np.stack([x * z, y * z, -(flat_mm**2)], axis=1) / (flat_mm * range_mm)[:, None]
     half_mm = (front_mm - back_mm) / 2.0
     seen = np.stack([(half_mm * each).sum(axis=1) for each in (around, down)], axis=1)

@@ -374,16 +374,16 @@ def _noise(
     air_c, then_c = log.temperatures_c(), calibration.validity.temperature_c
     now_c = float(np.mean(air_c)) if air_c and then_c is not None else None
     air = temperature(stated.growth_per_k, then_c, stated.air_range_k, now_c)
-    set_up = [line for line in stated.lines if line.frame == "world" and not line.alone]
+    set_up = [line for line in stated.lines if line.frame == "world" and not line.per_visit]
     frames = {"world": np.eye(4), "base": T_W_B}
     alone, within, common = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((7, 7))
     for line in (*stated.lines, *set_up, *stated.stations[station], air):
-        if line.frame == "tool" or line.counts == "in validation":
+        if line.frame == "tool" or line.applies == "in validation":
             continue
         covariance = line.about(frames[line.frame], T_W_B)
-        if line.alone:
+        if line.per_visit:
             alone += covariance[:3, :3]
-            within += covariance[:3, :3] * line.within_model
+            within += covariance[:3, :3] * line.in_model
         else:
             common += covariance
     return alone, within, common

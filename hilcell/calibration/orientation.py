@@ -17,7 +17,7 @@ from itertools import chain, combinations, pairwise
 import numpy as np
 
 from hilcell.calibration.budget import driven_poses, lines_in_use, lines_in_validation
-from hilcell.calibration.decision_rule import UNKNOWN_ORIENTATION, stated_mm2
+from hilcell.calibration.decision_rule import stated_mm2
 from hilcell.calibration.file import Calibration
 from hilcell.calibration.frames import world_as_framed
 from hilcell.calibration.grid import measured_errors
@@ -167,7 +167,7 @@ def validated_orientation_errors(
 def largest_orientation_error(log: Log, turned: OrientationErrors | None) -> OrientationError:
     """Largest orientation error and its U; NaN where none was measured."""
     if turned is None or not len(turned):
-        return UNKNOWN_ORIENTATION
+        return OrientationError(math.nan, math.nan)  # accepts nothing
     return OrientationError(
         float(turned.angles_deg.max()),
         float(expanded_deg(orientation_covariances_rad2(log, turned)).max()),

@@ -19,8 +19,8 @@ import numpy as np
 
 from hilcell.calibration.budget import driven_poses
 from hilcell.calibration.causes import axis_6_pattern, inverse_covariance, left_by, patterns
-from hilcell.calibration.decision_rule import judged_errors
-from hilcell.calibration.influence import no_less_than_nought
+from hilcell.calibration.decision_rule import decide_errors
+from hilcell.calibration.influence import nearest_semidefinite
 from hilcell.calibration.lookup import used, visited
 from hilcell.geometry.frames import cross_matrix, from_rotvec, matrix, motion_levers
 from hilcell.geometry.kinematics import Arm
@@ -244,7 +244,7 @@ def as_predicted(log: Log, points: list[Point], station: str) -> Rechecked:
     return Rechecked(
         visits.nominal_mm,
         visits.actual_mm - visits.nominal_mm,
-        no_less_than_nought(model.covariance_mm2 - visits.within_mm2) + visits.own_mm2,
+        nearest_semidefinite(model.covariance_mm2 - visits.within_mm2) + visits.own_mm2,
         J @ visits.common @ J.T,
         poses[:, :3, :3],
     )
@@ -370,10 +370,10 @@ class RecheckResult(msgspec.Struct, frozen=True, kw_only=True):
 def recheck_result(log: Log) -> RecheckResult:
     """Result of a run that has measured its poses; raises `HilcellError`."""
     measured, judgement = rechecked(log), rechecked_run(log)
-    calibration, as_found = used(log), judged_errors(log, measured.errors_mm)
+    calibration, as_found = used(log), decide_errors(log, measured.errors_mm)
     verdict = judgement.verdict
     left_mm = judgement.left_mm if verdict == "update" else measured.errors_mm
-    if not judged_errors(log, left_mm).holds:
+    if not decide_errors(log, left_mm).holds:
         verdict = "redo"  # no update brings the errors into tolerance
     air_c, points, bounds_mm = (
         log.temperatures_c(),

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.budget import target_bounds
-from hilcell.calibration.decision_rule import judged_errors
+from hilcell.calibration.decision_rule import decide_errors
 from hilcell.calibration.file import Calibration, TargetPass, Targets
 from hilcell.calibration.lookup import used, visited
 from hilcell.calibration.recheck import FEWEST, Judgement, as_predicted, judged
@@ -147,7 +147,7 @@ def targets_result(log: Log) -> TargetsResult:
 
 
 def judged_pass(log: Log) -> Judged:
-    return judged_errors(log, _errors_mm(log))
+    return decide_errors(log, _errors_mm(log))
 
 
 def moved_together(log: Log) -> Judgement | None:

@@ -173,7 +173,7 @@ def _visit_noise_mm2(log: Log, points: list[Point]) -> Array:
     if used is not None and used.uncertainty is not None:
         at_mm = np.array([point.nominal_mm for point in points])
         for line in used.uncertainty.lines:
-            if line.alone and line.frame == "base":
+            if line.per_visit and line.frame == "base":
                 noise_mm2 = noise_mm2 + line.at(log.matrix("base"), at_mm)
     return noise_mm2
 

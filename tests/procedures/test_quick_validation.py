@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from hilcell.calibration.decision_rule import Guard, judged, tolerance_limits
+from hilcell.calibration.decision_rule import Guard, decide, tolerance_limits
 from hilcell.calibration.grid import grid_of
 from hilcell.calibration.position_errors import Errors
 from hilcell.cell.file import load_cell
@@ -126,17 +126,15 @@ def test_what_is_above_a_tolerance_less_u_is_out_of_tolerance_only_above_it_less
     """The report said undecided of the very figures that the verdict called rejected."""
     cell = load_cell("paper", {"plan.quick": "true", "validation.mean_tolerance_mm": "0.1"})
     found = Errors(np.zeros((96, 3)), np.tile([error_mm, 0.0, 0.0], (96, 1)))
-    log, guard = (
-        cast("Log", SimpleNamespace(cell=cell, happened=lambda kind: [])),
-        Guard(0.06, 0.06),
-    )
+    log = cast("Log", SimpleNamespace(cell=cell, happened=lambda kind: []))
+    guard = Guard(0.06, 0.06)
     monkeypatch.setattr(quick_validation, "validation", lambda log, stations: {"chosen": found})
     monkeypatch.setattr(quick_validation, "guard_band", lambda log, count: guard)
     decided = quick_validation.decision_at(log, "S300")
     assert decided.outcome is not Outcome.UNDECIDED  # more would not help
     judgement = quick_validation.judgement(log, ["S300"])
     assert judgement.outcome == outcome
-    verdict = judged(error_mm, error_mm, tolerance_limits(cell), guard, also=judgement.outcome)
+    verdict = decide(error_mm, error_mm, tolerance_limits(cell), guard, sequential=judgement)
     assert verdict.outcome == outcome
     assert "most_targets" not in judgement.text
     assert judgement.text.startswith(verdict.outcome.text)

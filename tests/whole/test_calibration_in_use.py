@@ -133,7 +133,7 @@ def test_a_program_is_corrected_for_the_visit(golden: GoldenRuns, tmp_path: Path
     assert touched.provenance.run == before.provenance.run == "small"
     assert touched.uncertainty is not None
     (line,) = touched.uncertainty.stations["S300"]
-    assert (line.name, line.counts) == ("Touched base", "always")
+    assert (line.name, line.applies) == ("Touched base", "always")
     assert touched.stations["S1100"] == before.stations["S1100"]
     shown = command("show", "T", "--runs", runs)
     assert "Calibration small was used" in shown.stderr

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from hilcell.calibration.decision_rule import Guard, judged, tolerance_limits
+from hilcell.calibration.decision_rule import Guard, decide, tolerance_limits
 from hilcell.calibration.file import SCHEMA, Calibration, LostMotion, ModelEntry, Validity
 from hilcell.calibration.influence import ASSUMED, MEASURED, Influence, Uncertainty, motion
 from hilcell.cell.file import load_cell
@@ -71,7 +71,7 @@ def calibration(
             Influence("Robot repeatability", MEASURED, "visits", "4.2.4", "base",
                       motion(REPEATABILITY_MM**2), freedom=60.0),
             Influence("SMR centring", ASSUMED, "limit", "4.3.7", "world", motion(0.007**2),
-                      counts="in use"),
+                      applies="in use"),
         ],
         {"S1100": []}, 10e-6, 4.0,
     )  # fmt: skip
@@ -94,6 +94,6 @@ def calibration(
         "uncertainty": uncertainty,
         "lost_motion": LostMotion([0.0] * 6, [0.0] * 6, measured=True),
         "failed": {},
-        "verdicts": {"S1100": judged(0.03, 0.09, LIMITS, Guard(0.04, 0.05))},
+        "verdicts": {"S1100": decide(0.03, 0.09, LIMITS, Guard(0.04, 0.05))},
     }
     return msgspec.convert(msgspec.to_builtins(values), Calibration)

@@ -57,7 +57,7 @@ def test_the_bound_has_all_parts_of_a_target_in_use() -> None:
 
 
 def test_what_shows_in_the_validation_alone_is_not_in_use() -> None:
-    reading = Influence("r", ASSUMED, "", "", "world", motion(9.0), counts="in validation")
+    reading = Influence("r", ASSUMED, "", "", "world", motion(9.0), applies="in validation")
     assert changed().uncertainty is not None
     found = target_bounds(changed(lines=[reading]), "S1100", TARGETS)
     assert [part.name for part in found.parts] == [MODEL, TEMPERATURE]
@@ -135,7 +135,7 @@ def test_limits_that_are_common_to_the_grid_do_not_widen_the_validation(tmp_path
     limits = [
         msgspec.structs.replace(each, covariance=motion(9.0))
         for each in made.uncertainty.lines
-        if each.counts == "in use"
+        if each.applies == "in use"
     ]
     found = validated(changed(lines=limits), log, "S1100")
     assert found is not None

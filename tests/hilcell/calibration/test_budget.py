@@ -62,7 +62,7 @@ def test_without_repeated_visits_there_is_a_reason_only(tmp_path: Path) -> None:
 
 def test_the_lines(log: Log) -> None:
     found = lines(log)
-    assert {name: line.counts for name, line in found.items()} == {
+    assert {name: line.applies for name, line in found.items()} == {
         "Robot repeatability": "always",
         "Approach direction": "in use",
         "Drift": "always",
@@ -85,7 +85,7 @@ def test_repeatability_is_pooled_and_turned_and_less_the_readings(log: Log) -> N
     np.testing.assert_allclose(shift_mm2(line)[:2, :2], wanted)
     np.testing.assert_allclose(shift_mm2(line)[2], 0.0, atol=1e-12)  # all of z is the readings'
     assert line.frame == "base"
-    assert line.within_model
+    assert line.in_model
     assert line.freedom is not None
     assert 16 < line.freedom < 32
 

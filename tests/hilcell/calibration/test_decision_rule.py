@@ -6,19 +6,13 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from hilcell.calibration.decision_rule import (
-    Guard,
-    check_limits,
-    guard_band,
-    judged,
-    judged_again,
-    limits_within,
-)
+from hilcell.calibration.decision_rule import Guard, check_limits, decide, guard_band
 from hilcell.calibration.measurement_budget import NOISE, measurement_budget
 from hilcell.calibration.position_errors import judged_places, places
 from hilcell.cell.file import load_cell
 from hilcell.model.outcome import Outcome
 from hilcell.model.point import PointId
+from hilcell.model.results import Decided
 from hilcell.model.verdicts import Judged, Limits, OrientationError
 from hilcell.ports import HilcellError
 from procedures.validate import Validate
@@ -43,18 +37,22 @@ LIMITS, GUARD = Limits(0.15, 0.4), Guard(0.05, 0.1)
     ],
 )
 def test_the_guard_band(mean_mm: float, max_mm: float, outcome: Outcome) -> None:
-    found = judged(mean_mm, max_mm, LIMITS, GUARD)
+    found = decide(mean_mm, max_mm, LIMITS, GUARD)
     assert (found.outcome, found.holds) == (outcome, outcome == "accepted")
 
 
 def test_an_uncertainty_that_is_no_number_accepts_nothing() -> None:
-    assert not judged(0.0, 0.0, LIMITS, Guard(math.nan, 0.0)).holds
+    assert not decide(0.0, 0.0, LIMITS, Guard(math.nan, 0.0)).holds
 
 
-@pytest.mark.parametrize("also", ["undecided", "rejected"])
-def test_another_test_must_accept_as_well(also: Outcome) -> None:
-    found = judged(0.01, 0.02, LIMITS, GUARD, also=also, words="too few targets")
-    assert (found.holds, found.outcome, found.decision) == (False, also, "too few targets")
+@pytest.mark.parametrize("outcome", ["undecided", "rejected"])
+def test_the_sequential_test_must_accept_as_well(outcome: Outcome) -> None:
+    decided = Decided(
+        outcome=Outcome(outcome), targets=[8], text="too few targets",
+        accept_risk=0.05, reject_risk=0.05, share_above_max=0.05,
+    )  # fmt: skip
+    found = decide(0.01, 0.02, LIMITS, GUARD, sequential=decided)
+    assert (found.holds, found.outcome, found.decision) == (False, outcome, "too few targets")
 
 
 @pytest.mark.parametrize(("count", "shown"), [(1, []), (2, []), (3, ["others"])])
@@ -67,12 +65,6 @@ def test_other_stations_are_judged_together_and_shown_so_where_they_are_several(
     reference, *others = (each.name for each in cell.station)
     assert list(judged_places(cell)) == [reference, *(["others"] if others else []), *others]
     assert list(places(cell)) == [reference, *shown, *others]
-
-
-def test_a_verdict_is_judged_again_by_other_limits() -> None:
-    stated = judged(0.09, 0.2, LIMITS, GUARD)
-    assert judged_again(stated) == stated
-    assert not judged_again(stated, Limits(0.12, 0.4)).holds
 
 
 ORIENTED = LIMITS._replace(max_deg=0.05)
@@ -91,18 +83,18 @@ ORIENTED = LIMITS._replace(max_deg=0.05)
 def test_orientation_keeps_its_limit_by_the_same_rule(
     turn: OrientationError, outcome: Outcome
 ) -> None:
-    found = judged(0.01, 0.02, ORIENTED, GUARD, orientation=turn)
+    found = decide(0.01, 0.02, ORIENTED, GUARD, orientation=turn)
     assert (found.outcome, found.holds) == (outcome, outcome == "accepted")
-    assert judged_again(found) == found or math.isnan(sum(turn))
     read = msgspec.json.decode(msgspec.json.encode(found), type=Judged)  # NaN is null there
-    assert judged_again(read).outcome == outcome
+    assert read.orientation is not None
+    assert [*map(str, read.orientation)] == [*map(str, turn)]
 
 
 def test_orientation_is_judged_only_where_it_is_limited_and_measured() -> None:
     far = OrientationError(9.0, 0.01)
     for found in (
-        judged(0.01, 0.02, LIMITS, GUARD, orientation=far),
-        judged(0.01, 0.02, ORIENTED, GUARD),
+        decide(0.01, 0.02, LIMITS, GUARD, orientation=far),
+        decide(0.01, 0.02, ORIENTED, GUARD),
     ):
         assert found.holds
         assert found.orientation is None
@@ -110,7 +102,7 @@ def test_orientation_is_judged_only_where_it_is_limited_and_measured() -> None:
 
 
 def test_what_is_left_of_a_tolerance() -> None:
-    assert limits_within(LIMITS, GUARD)[:2] == pytest.approx((0.1, 0.3))
+    assert GUARD.within(LIMITS)[:2] == pytest.approx((0.1, 0.3))
 
 
 @pytest.mark.parametrize("name", ["mean", "max"])

@@ -101,7 +101,7 @@ def test_few_samples_widen_the_bound() -> None:
 
 def test_what_the_model_has_in_counts_once() -> None:
     """Of 9, 4 and 1 mm2 repeatability has 4: the model keeps what exceeds it."""
-    visits = influence(motion(4.0), within_model=True)
+    visits = influence(motion(4.0), in_model=True)
     model_mm2 = np.diag([9.0, 4.0, 1.0])[None]
     found = combined_bounds(model_mm2, [visits], np.eye(4), np.eye(4)[None])
     np.testing.assert_allclose(found.parts[0].covariance_mm2[0], np.diag([5.0, 0, 0]), atol=1e-12)

@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from hilcell.calibration.decision_rule import Guard, judged, tolerance_limits
+from hilcell.calibration.decision_rule import Guard, decide, tolerance_limits
 from hilcell.calibration.file import Calibration
 from hilcell.calibration.validity import CalibrationRefused, check_usable
 from hilcell.cell.file import load_cell
@@ -72,7 +72,7 @@ def test_all_reasons_at_once() -> None:
 
 def validated(mean_mm: float, limits: Limits = LIMITS, **more: Any) -> Calibration:
     """Return a calibration whose validation found ``mean_mm``, with U = 0.04 mm."""
-    found = judged(mean_mm, 0.1, limits, Guard(0.04, 0.05))
+    found = decide(mean_mm, 0.1, limits, Guard(0.04, 0.05))
     return msgspec.structs.replace(aged(1, **more), verdicts={"S1100": found})
 
 
@@ -127,7 +127,7 @@ def test_another_limit_of_orientation_than_the_cell_s() -> None:
     made = validated(0.01, digest=today.digest)
     with pytest.raises(CalibrationRefused, match=r"0\.05 deg"):
         check_usable(made, NOW, cell=today)
-    found = judged(
+    found = decide(
         0.01,
         0.1,
         tolerance_limits(today),
@@ -137,13 +137,13 @@ def test_another_limit_of_orientation_than_the_cell_s() -> None:
     was = msgspec.structs.replace(made, verdicts={"S1100": found})
     assert not check_usable(was, NOW, cell=today)
     del limited["validation.max_tolerance_deg"]
-    with pytest.raises(CalibrationRefused) as refusal:  # the same cell, judged by another limit
+    with pytest.raises(CalibrationRefused) as refusal:  # the same cell, decide by another limit
         check_usable(was, NOW, cell=load_cell("paper", limited))
     assert "another cell" not in str(refusal.value)
 
 
 def test_a_limit_of_orientation_and_a_cell_that_measures_none() -> None:
-    found = judged(
+    found = decide(
         0.01,
         0.1,
         Limits(0.12, 0.3, 0.05),

@@ -14,7 +14,7 @@ import pytest
 
 from hilcell.atomic_files import CSV, check_output
 from hilcell.calibration.budget import DRILL
-from hilcell.calibration.decision_rule import Guard, judged
+from hilcell.calibration.decision_rule import Guard, decide
 from hilcell.calibration.file import write_calibration
 from hilcell.calibration.influence import ASSUMED, Influence, Uncertainty, motion
 from hilcell.cell.file import load_cell
@@ -155,7 +155,7 @@ def test_bounds_hold_at_the_drill_of_the_cell(desk: Workplace) -> None:
     stated = made.uncertainty
     assert stated is not None
     drill = Influence(
-        DRILL, ASSUMED, "", "5.1.2", "tool", motion(0.0, 1e-6), (0.0, 0.0, -50.0), counts="in use"
+        DRILL, ASSUMED, "", "5.1.2", "tool", motion(0.0, 1e-6), (0.0, 0.0, -50.0), applies="in use"
     )
     stated = msgspec.structs.replace(stated, lines=[*stated.lines, drill])
     made = msgspec.structs.replace(made, uncertainty=stated)
@@ -329,7 +329,7 @@ def test_a_format_that_cannot_be_loaded_is_refused(plant: Workplace, text: str) 
 
 
 def test_a_failed_validation_corrects_nothing_unasked(desk: Workplace) -> None:
-    bad = judged(3.7, 5.0, LIMITS, Guard(0.04, 0.05))
+    bad = decide(3.7, 5.0, LIMITS, Guard(0.04, 0.05))
     made = msgspec.structs.replace(calibration(), verdicts={"S1100": bad})
     write_calibration(made, desk.folder / "calibration.json")
     assert "S1100" in desk.refused()

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.decision_rule import Guard, judged
+from hilcell.calibration.decision_rule import Guard, decide
 from hilcell.calibration.file import write_calibration
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import pose_from_zyx
@@ -160,7 +160,7 @@ def test_files_of_another_job_do_not_stay_among_these(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("what", ["prepare", "plan"])
 def test_a_calibration_that_failed_plans_and_prepares_nothing(tmp_path: Path, what: str) -> None:
-    bad = judged(3.7, 5.0, LIMITS, Guard(0.04, 0.05))
+    bad = decide(3.7, 5.0, LIMITS, Guard(0.04, 0.05))
     path, file = holes(tmp_path, *INSIDE), made(tmp_path, verdicts={"S1100": bad})
     out = tmp_path / "out"
     words = (what, path, "--calibration", file, *(("-o", out) if what == "prepare" else ()))

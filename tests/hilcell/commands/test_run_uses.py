@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from hilcell.calibration.decision_rule import Guard, judged
+from hilcell.calibration.decision_rule import Guard, decide
 from hilcell.cell.file import load_cell
 from hilcell.journal.index import RunRow
 from hilcell.journal.runs import CALIBRATION, read_log
@@ -19,7 +19,7 @@ from tests.hilcell.report.journals import Writer
 from tests.hilcell.verdicts import REJECTED, TOUCHED
 from tests.whole.bench import command
 
-WRONG = judged(0.9, 2.0, LIMITS, Guard(0.04, 0.05))
+WRONG = decide(0.9, 2.0, LIMITS, Guard(0.04, 0.05))
 
 
 @pytest.fixture
