@@ -23,6 +23,8 @@ MEASURED, ASSUMED = "measured in this run", "stated assumption"
 MODEL = "Error model"
 SIZE = 7  # shift, rotation, growth
 
+Frame = Literal["world", "base", "tool"]
+
 
 class Influence(
     msgspec.Struct,
@@ -43,7 +45,7 @@ class Influence(
     source: str
     how: str
     clause: str
-    frame: Literal["world", "base", "tool"]
+    frame: Frame
     covariance: list[list[float]]
     origin_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     freedom: float | None = None
