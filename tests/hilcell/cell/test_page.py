@@ -16,7 +16,6 @@ from hilcell.cell.uncertainty import UncertaintyTable
 
 PAGE = (Path(__file__).parents[3] / "docs" / "cell-file.md").read_text("utf-8")
 SECTIONS: dict[str, type[msgspec.Struct]] = {
-    "The whole file": cell.Cell,
     "[rail]": cell.RailTable,
     "[robot]": robot.RobotTable,
     "[[robot.joint]]": cell.Joint,
@@ -88,4 +87,10 @@ def test_no_table_is_left_out() -> None:
         for kind in (vars(cell) | vars(layout) | vars(surroundings)).values()
         if isinstance(kind, type) and issubclass(kind, Frozen) and kind is not Frozen
     }
-    assert tables == set(SECTIONS.values())
+    assert tables == {*SECTIONS.values(), cell.Cell}
+
+
+def test_the_required_keys_of_the_file_are_named() -> None:
+    (required,) = re.findall(r"^## The whole file\n\n(.*)\n", PAGE, re.MULTILINE)
+    fields = msgspec.structs.fields(cell.Cell)
+    assert re.findall(r"`(\w+)`", required) == [each.name for each in fields if each.required]
