@@ -6,10 +6,10 @@ Everything is computed from the journal, as the calibration file was.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from hilcell.cell.uncertainty import COVERAGE_FACTOR
 from hilcell.journal.log import Log
 from hilcell.model.verdicts import OTHERS
 from hilcell.ports import Array
-from hilcell.present.table import Column, Table
+from hilcell.present.table import Column, Table, listed
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +47,35 @@ class TargetBudget:
     @property
     def worst(self) -> str:
         return max(self.in_use, key=lambda name: float(self.in_use[name].radii_mm.mean()))
+
+    def rows(self) -> Iterator[Bounded]:
+        for name in dict.fromkeys([*self.in_use, *self.coverage]):
+            used, kept = self.in_use.get(name), self.coverage.get(name)
+            radii = [None, None] if used is None else [used.radii_mm.mean(), used.radii_mm.max()]
+            figures = list[float]()
+            if kept is not None:
+                figures += [len(kept), kept.inside, 100 * kept.share]
+                figures += [float(kept.bounds_mm.mean()), float(kept.bounds_mm.max())]
+            yield Bounded(place_label(name), *radii, *figures)
+
+    def table(self) -> Table:
+        note = (
+            "95 % of 3-D errors should be inside. In use: any target of the cube, at any "
+            "temperature that the check of validity allows. In validation: without what stays the "
+            "same from grid to validation, at the temperatures of the run, with the tracker's "
+            "reading."
+        )
+        columns = listed(
+            "station",
+            ("bound in use, mean", "mm", ".3f"),
+            ("bound in use, max", "mm", ".3f"),
+            ("targets", "", ".0f"),
+            ("inside", "", ".0f"),
+            ("share inside", "%", ".1f"),
+            ("validation bound, mean", "mm", ".3f"),
+            ("validation bound, max", "mm", ".3f"),
+        )
+        return Table(columns, self.rows(), "95 % bounds of corrected targets", note)
 
 
 def target_budget(log: Log, run: str) -> TargetBudget:
@@ -77,54 +106,22 @@ def _why_none(log: Log) -> str:
     return f"the run ended before it framed {' and '.join(stations)}"
 
 
-@dataclass(frozen=True, slots=True)
-class Placed:
-    """One place of the table of bounds."""
+class Bounded(NamedTuple):
+    """Bounds in use at a place, and those of its validation with the targets that kept theirs."""
 
     name: str
-    in_use: Bounds | None
-    coverage: Coverage | None
-
-    def use(self, of: Callable[[np.ndarray], float]) -> float | None:
-        return None if self.in_use is None else float(of(self.in_use.radii_mm))
-
-    def validated(self, of: Callable[[Coverage], float]) -> float | None:
-        return None if self.coverage is None else float(of(self.coverage))
+    use_mean_mm: float | None
+    use_max_mm: float | None
+    targets: float | None = None
+    inside: float | None = None
+    inside_percent: float | None = None
+    mean_mm: float | None = None
+    max_mm: float | None = None
 
 
 def place_label(place: str) -> str:
     """Return the name of a place in a table: a station, or those that are judged together."""
     return "others together" if place == OTHERS else place
-
-
-def bound_rows(budget: TargetBudget) -> list[Placed]:
-    names = [*budget.in_use, *(name for name in budget.coverage if name not in budget.in_use)]
-    return [
-        Placed(place_label(name), budget.in_use.get(name), budget.coverage.get(name))
-        for name in names
-    ]
-
-
-def bounds_table(budget: TargetBudget) -> Table:
-    note = (
-        "95 % of 3-D errors should be inside. In use: any target of the cube, at any temperature "
-        "that the check of validity allows. In validation: without what stays the same from grid "
-        "to validation, at the temperatures of the run, with the tracker's reading."
-    )
-    columns: tuple[Column[Placed], ...] = (
-        Column("station", attrgetter("name")),
-        Column("bound in use, mean", lambda row: row.use(np.mean), "mm", ".3f"),
-        Column("bound in use, max", lambda row: row.use(np.max), "mm", ".3f"),
-        Column("targets", partial(Placed.validated, of=len), form=".0f"),
-        Column("inside", partial(Placed.validated, of=attrgetter("inside")), form=".0f"),
-        Column("share inside", lambda row: row.validated(lambda each: 100 * each.share),
-               "%", ".1f"),
-        Column("validation bound, mean", lambda row: row.validated(lambda c: c.bounds_mm.mean()),
-               "mm", ".3f"),
-        Column("validation bound, max", lambda row: row.validated(lambda c: c.bounds_mm.max()),
-               "mm", ".3f"),
-    )  # fmt: skip
-    return Table(columns, bound_rows(budget), "95 % bounds of corrected targets", note)
 
 
 # -- the uncertainty budget of one coordinate as one table: a measured error, a corrected target ---
@@ -137,7 +134,7 @@ ERROR_SUM, TARGET_SUM = "A measured error", "A corrected target"
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A line: ``estimate_mm`` is a standard deviation (normal) or a half-width (rectangular).
+    """A line: ``estimate`` in mm is a standard deviation (normal) or ± a half-width (rectangular).
 
     ``u_mm`` is of one coordinate: along one direction it is the estimate's u by √3.
     """
@@ -146,23 +143,11 @@ class Row:
     how: str
     kind: str
     u_mm: float
-    percent: float
-    estimate_mm: float | None = None
-    rectangular: bool = False
+    percent: float = 100.0
+    estimate: str = ""
+    divisor: str = ""
     along: str = ""
     is_sum: bool = False
-
-    @property
-    def estimate(self) -> str:
-        if self.estimate_mm is None:
-            return ""
-        return f"{'±' if self.rectangular else ''}{self.estimate_mm:.4f}"
-
-    @property
-    def divisor(self) -> str:
-        if self.estimate_mm is None:
-            return ""
-        return "√3" if self.rectangular else "1"
 
 
 ROWS: tuple[Column[Row], ...] = (
@@ -187,7 +172,7 @@ def budget_table(budget: Budget | None, targets: TargetBudget, hidden: Sequence[
             f"U = {COVERAGE_FACTOR:.2f} u = {budget.U_mm:.3f} mm along the error; 3-D position: "
             f"{K_3D:.2f} u = {K_3D * budget.u_mm:.3f} mm (95 %)"
         )
-        rows = [*error_rows(budget), Row(ERROR_SUM, words, "", budget.u_mm, 100.0, is_sum=True)]
+        rows = [*error_rows(budget), Row(ERROR_SUM, words, "", budget.u_mm, is_sum=True)]
     note = (
         "Type A: from scatter that this run measured; B: from the certificate that is named, else "
         "an assumption that the cell file states. Sensitivity 1: every source is a length at the "
@@ -201,10 +186,8 @@ def budget_table(budget: Budget | None, targets: TargetBudget, hidden: Sequence[
         freedoms = (f"{p.name} {p.freedom:.0f}" for p in bounds.parts if p.freedom < math.inf)
         estimated = ", ".join(freedoms)  # what is not taken as known
         freedom = f"Degrees of freedom: {estimated}; others known." if estimated else ""
-        rows += [
-            *target_rows(bounds),
-            Row(TARGET_SUM, words, "", _whole_mm(bounds), 100.0, is_sum=True),
-        ]
+        rows += target_rows(bounds)
+        rows.append(Row(TARGET_SUM, words, "", _whole_mm(bounds), is_sum=True))
         notes.append(
             f"Corrected target: at {targets.worst}, where bounds are largest; root mean square "
             "over the volume, at any temperature that “Valid for” allows; an estimate of several "
@@ -236,26 +219,29 @@ def target_rows(bounds: Bounds) -> list[Row]:
 def _row(
     each: Contribution | Part, whole_mm: float, estimate_mm: float, rectangular: bool, along: str
 ) -> Row:
-    """Return a line; its type says whether it was measured or is stated."""
-    plain = MEASURED in each.source or each.source == ASSUMED
-    how = each.how if plain else f"{each.how}; {each.source}"
-    percent = 100 * each.u_mm**2 / whole_mm**2
-    kind = _kind(each, rectangular)
-    return Row(each.name, how, kind, each.u_mm, percent, estimate_mm, rectangular, along)
+    """Return a line; its type says whether it was measured or is stated.
+
+    Clause 4.2 of the GUM is type A, 4.3 type B.
+    """
+    measured = MEASURED in each.source
+    how = each.how if measured or each.source == ASSUMED else f"{each.how}; {each.source}"
+    stated = each.source != MEASURED or each.clause.startswith("4.3")
+    letters = [*("A" * (measured and not each.clause.startswith("4.3"))), *("B" * stated)]
+    shape, sign, divisor = ("rectangular", "±", "√3") if rectangular else ("normal", "", "1")
+    return Row(
+        each.name,
+        how,
+        f"{', '.join(letters)}, {shape}",
+        each.u_mm,
+        100 * each.u_mm**2 / whole_mm**2,
+        f"{sign}{estimate_mm:.4f}",
+        divisor,
+        along,
+    )
 
 
 def _whole_mm(bounds: Bounds) -> float:
     return math.sqrt(sum(part.u_mm**2 for part in bounds.parts))
-
-
-def _kind(each: Contribution | Part, rectangular: bool) -> str:
-    """Return type and distribution: clause 4.2 of the GUM is type A, 4.3 type B."""
-    kinds: Iterable[str] = ("A",) if MEASURED in each.source else ()
-    if each.clause.startswith("4.3"):
-        kinds = ("B",)
-    elif each.source != MEASURED:
-        kinds = (*kinds, "B")
-    return f"{', '.join(kinds)}, {'rectangular' if rectangular else 'normal'}"
 
 
 def _one_direction(covariances_mm2: Array) -> bool:

@@ -14,8 +14,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 from xml.etree.ElementTree import fromstring, indent, register_namespace, tostring
 
-import numpy as np
-
 from hilcell import __version__
 from hilcell.atomic_files import NotWritten
 from hilcell.calibration.decision_rule import guard_band
@@ -23,7 +21,7 @@ from hilcell.identity import Identity
 from hilcell.model.outcome import Outcome
 from hilcell.model.point import Sent
 from hilcell.present.renderers import environment
-from hilcell.report.budgets import bound_rows, target_budget
+from hilcell.report.budgets import target_budget
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import Certificate, FirstPage, Judgement, Result
 from hilcell.report.tables import Tables, Validated
@@ -213,13 +211,12 @@ class _Certificate:
 
     def bounds(self) -> Iterator[Series]:
         """Yield the 95 % bounds of any target in use, and how many targets kept theirs."""
-        for place in bound_rows(target_budget(self.facts.log, self.facts.run)):
+        for place in target_budget(self.facts.log, self.facts.run).rows():
             figures = (
-                ("bound in use, mean", place.use(np.mean), MM, "hilcell_boundMean"),
-                ("bound in use, largest", place.use(np.max), MM, "hilcell_boundLargest"),
-                ("targets within their own bound", place.validated(lambda each: 100 * each.share),
-                 PERCENT, "hilcell_inside"),
-            )  # fmt: skip
+                ("bound in use, mean", place.use_mean_mm, MM, "hilcell_boundMean"),
+                ("bound in use, largest", place.use_max_mm, MM, "hilcell_boundLargest"),
+                ("targets within their own bound", place.inside_percent, PERCENT, "hilcell_inside"),
+            )
             yield Series(place.name, [
                 quantity(name, value, unit, ref)
                 for name, value, unit, ref in figures if value is not None

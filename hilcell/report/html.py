@@ -14,7 +14,7 @@ from hilcell.cell.undetectable_errors import undetectable_errors
 from hilcell.model.point import CONTROL
 from hilcell.present.renderers import environment
 from hilcell.present.table import Table
-from hilcell.report.budgets import bounds_table, budget_table, target_budget
+from hilcell.report.budgets import budget_table, target_budget
 from hilcell.report.drawings.error_plots import ErrorPlots, strip, variance_bar
 from hilcell.report.drawings.figures import POSE_TEST, drawings
 from hilcell.report.drawings.views import plan_view, side_view
@@ -122,7 +122,6 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
         procedure_table=own,
         empty=not (own or accuracy or judged),
         budget_table=budget_table(budget, targets, hidden),
-        bounds_table=bounds_table(targets),
         verdicts=judged,
         record_tables=[
             timeline(facts), tables.remeasured(), tables.devices(), tables.conditions(),

@@ -39,8 +39,8 @@ REFUSED = DeviceError("HC-R01", "Rail", "connect", "no gateway")
 STRANGE = DeviceError("XY-1", "Tracker", "measure", "no answer")
 
 
-def printed(tmp_path: Path, fault: Exception, *, as_json: bool = False) -> None:
-    folder = Writer(tmp_path / "r1").began().ended()
+def end_of(folder: Path, fault: Exception | None = None, *, as_json: bool = False) -> None:
+    """Print the end of a run as its command does."""
     procedure = load_entry("procedures", "home")
     print_end(folder, read_log(folder), procedure, RunOutput(as_json=as_json), fault)
 
@@ -56,7 +56,7 @@ def printed(tmp_path: Path, fault: Exception, *, as_json: bool = False) -> None:
 def test_a_fault_names_the_alarms_that_say_what_to_do(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], fault: DeviceError, codes: list[str]
 ) -> None:
-    printed(tmp_path, fault)
+    end_of(Writer(tmp_path / "r1").began().ended(), fault)
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == f"hilcell: {fault}".splitlines()[0]
     assert [line.split()[-1] for line in lines if "explain" in line] == codes
@@ -96,9 +96,7 @@ def test_the_cause_that_ended_a_run_is_shown(
     suspected = {"suspicions": [Suspicion(Cause.STRIP, 1.0, "mm", "slide nest").facts]}
     end = {"state": "faulted", "exit": 3, "result": suspected}
     writer.journal.append("end", "", end)
-    folder = writer.left()
-    procedure = load_entry("procedures", "calibrate")
-    print_end(folder, read_log(folder), procedure, RunOutput(as_json=False), LOST)
+    end_of(writer.left(), LOST)
     assert main(["show", "r1", "--runs", str(tmp_path)]) == 0
     assert capsys.readouterr().err.count("strip (1 mm)") == 2
     assert main(["show", "r1", "--json", "--runs", str(tmp_path)]) == 0
@@ -106,7 +104,7 @@ def test_the_cause_that_ended_a_run_is_shown(
 
 
 def test_programs_get_the_fault_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    printed(tmp_path, LOST, as_json=True)
+    end_of(Writer(tmp_path / "r1").began().ended(), LOST, as_json=True)
     assert capsys.readouterr().err == f"hilcell: {LOST}\n"
 
 
@@ -116,7 +114,7 @@ def test_an_error_that_nobody_expected_is_printed_with_its_trace(
     try:
         float("4394.2 245.2")
     except ValueError as error:
-        printed(tmp_path, error)
+        end_of(Writer(tmp_path / "r1").began().ended(), error)
     trace, _, reason = capsys.readouterr().err.partition("\nhilcell: ")
     assert "test_run_end.py" in trace
     assert reason.startswith("ValueError: ")
@@ -127,23 +125,17 @@ POSITION = {
     "max_mm": 0.1, "max_tolerance_mm": 0.3, "max_U_mm": 0.05,
     "decision": "not in tolerance",
 }  # fmt: skip
+REJECTED = POSITION | {"outcome": "rejected", "mean_mm": 0.2}
+TURNED = {
+    "outcome": "undecided", "max_deg": 0.022, "max_tolerance_deg": 0.03, "max_U_deg": 0.015,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(
     ("key", "more", "words"),
     [
-        (
-            "validation.S1100",
-            POSITION
-            | {"outcome": "undecided", "max_deg": 0.022, "max_tolerance_deg": 0.03}
-            | {"max_U_deg": 0.015},
-            "undecided S1100 0.0220 0.0150 0.03",
-        ),
-        (
-            "validation.S1100",
-            POSITION | {"outcome": "rejected", "mean_mm": 0.2},
-            "tolerance S1100 0.2000 0.0400 0.12",
-        ),
+        ("validation.S1100", POSITION | TURNED, "undecided S1100 0.0220 0.0150 0.03"),
+        ("validation.S1100", REJECTED, "tolerance S1100 0.2000 0.0400 0.12"),
         ("backlash", {"holds": False, "found_mm": 0.5, "limit_mm": 0.4}, "backlash 0.5000 0.4"),
     ],
 )
@@ -178,18 +170,22 @@ PROMPT = {"title": "Seat the reflector in P1", "text": "Take it and seat it."}
 @pytest.mark.parametrize(
     ("to", "facts", "words"),
     [
-        ("paused", {}, []),
-        ("paused", {"reason": "the screen was lost"}, ["the screen was lost"]),
-        ("suspended", {"reason": "P1", "prompt": PROMPT}, list(PROMPT.values())),
+        ("checking", {}, ["connecting"]),
+        ("paused", {}, ["paused", "`hilcell resume 'r 7' --runs {runs}`"]),
+        ("paused", {"reason": "the screen was lost"}, ["the screen was lost", "hilcell resume"]),
+        ("suspended", {"reason": "P1", "prompt": PROMPT}, ["suspended", *PROMPT.values()]),
     ],
 )
-def test_a_run_that_waits_says_for_what(
-    to: str, facts: dict[str, Any], words: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_state_is_said_with_what_the_run_waits_for(
+    tmp_path: Path, to: str, facts: dict[str, Any], words: list[str],
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
     body = {"machine": "run", "from": "running", "to": to} | facts
-    ProgressOutput(Path("r"), 3).take(Record(1, "2026-01-01T00:00:00+00:00", "state", "", body))
-    said = " ".join(capsys.readouterr().err.split())
-    assert [word for word in (to, *words, "hilcell resume") if word not in said] == []
+    record = Record(1, "2026-01-01T00:00:00+00:00", "state", "", body)
+    ProgressOutput(tmp_path / "r 7", 3).take(record)
+    said = "".join(capsys.readouterr().err.split())
+    for each in words:
+        assert each.format(runs=tmp_path).replace(" ", "") in said
 
 
 def test_the_bar_counts_each_point_once_and_never_beyond_its_total(
@@ -222,8 +218,7 @@ def test_a_link_that_loses_frames_is_named_at_the_end_in_show_and_in_the_report(
     link(writer, bad_lines=bad_lines)
     folder = writer.ended()
     advice = LinkCounted(frames=0, bad_lines=1, refused=0, malformed=0).warning.partition(": ")[2]
-    home, output = load_entry("procedures", "home"), RunOutput(as_json=False)
-    print_end(folder, read_log(folder), home, output, None)
+    end_of(folder)
     assert (advice in " ".join(capsys.readouterr().err.split())) is warned
     assert main(["show", "r1", "--runs", str(tmp_path)]) == 0
     assert (advice in capsys.readouterr().out) is warned
@@ -262,19 +257,16 @@ def test_how_the_slide_was_held_is_of_the_last_end() -> None:
     assert "100.00 %" in LinkCounted(frames=0, bad_lines=1, refused=0, malformed=0).warning
 
 
-VALIDATED = POSITION | {"outcome": "rejected", "mean_mm": 0.2}
-
-
 @pytest.mark.parametrize(
     ("verdicts", "code", "outcome", "said"),
     [
-        ({"validation.S1100": VALIDATED | {"holds": True}}, 0, "in tolerance", []),
-        ({"validation.S1100": VALIDATED}, 1, "out of tolerance", ["S1100"]),
+        ({"validation.S1100": REJECTED | {"holds": True}}, 0, "in tolerance", []),
+        ({"validation.S1100": REJECTED}, 1, "out of tolerance", ["S1100"]),
         (
-            {f"validation.{name}": VALIDATED for name in ("S1100", "others", "S300")},
+            {f"validation.{name}": REJECTED for name in ("S1100", "others", "S300")},
             1, "out of tolerance", ["S1100", "S300"],
         ),
-        ({"validation.others": VALIDATED}, 1, "out of tolerance", ["the other stations"]),
+        ({"validation.others": REJECTED}, 1, "out of tolerance", ["the other stations"]),
     ],
 )  # fmt: skip
 def test_a_run_that_finished_says_its_outcome_and_each_failure_once(
@@ -285,27 +277,13 @@ def test_a_run_that_finished_says_its_outcome_and_each_failure_once(
     writer = Writer(tmp_path / "r1").began()
     for key, body in verdicts.items():
         writer.journal.append("verdict", key, body)
-    folder = writer.ended(code=code)
-    output = RunOutput(as_json=False)
-    print_end(folder, read_log(folder), load_entry("procedures", "home"), output, None)
+    end_of(writer.ended(code=code))
     *failed, last = capsys.readouterr().err.splitlines()
     assert f"finished, {outcome}; " in last
     assert len(failed) == len(said)
     for line, place in zip(failed, said, strict=True):
         assert place in line
         assert line.endswith("(hilcell explain HC-V01)")
-
-
-def test_a_run_that_waits_says_how_its_own_name_goes_on(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    body = {"machine": "run", "from": "running", "to": "paused"}
-    ProgressOutput(tmp_path / "r 7", 3).take(
-        Record(1, "2026-01-01T00:00:00+00:00", "state", "", body)
-    )
-    said = capsys.readouterr().err.replace("\n", "")
-    assert f"`hilcell resume 'r 7' --runs {tmp_path}`".replace(" ", "") in said.replace(" ", "")
 
 
 def test_ctrl_c_at_a_watched_run_names_it(
@@ -334,19 +312,8 @@ def test_what_was_not_seen_at_rest_is_shown_of_the_journal_too(
         assert "robot could not be confirmed at rest" in " ".join((said.out + said.err).split())
     assert main(["show", "r1", "--json", "--runs", str(tmp_path)]) == 0
     assert "press the E-stop" in json.loads(capsys.readouterr().out)["not_at_rest"]
-
-
-def test_a_run_whose_devices_stand_says_nothing_of_that(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    writer = Writer(tmp_path / "r1").began()
+    writer = Writer(tmp_path / "r2").began()
     writer.journal.append("event", "", {"what": "closed", "problems": {"Tracker": "no answer"}})
     writer.ended("faulted", 3, "Rail: CAN: link lost")
-    assert main(["show", "r1", "--json", "--runs", str(tmp_path)]) == 0
-    assert json.loads(capsys.readouterr().out)["not_at_rest"] is None
-
-
-def test_a_run_says_that_it_connects(capsys: pytest.CaptureFixture[str]) -> None:
-    body = {"machine": "run", "from": "idle", "to": "checking"}
-    ProgressOutput(Path("r"), 3).take(Record(1, "2026-01-01T00:00:00+00:00", "state", "", body))
-    assert "connecting" in capsys.readouterr().err
+    assert main(["show", "r2", "--json", "--runs", str(tmp_path)]) == 0
+    assert json.loads(capsys.readouterr().out)["not_at_rest"] is None, "a tracker moves nothing"
