@@ -14,13 +14,7 @@ import numpy as np
 from hilcell.calibration.file import Calibration
 from hilcell.calibration.from_run import ORIENTATION_TOLERANCE_DEG
 from hilcell.calibration.lookup import calibration_in, calibration_named, record_of
-from hilcell.calibration.recheck import (
-    KIND,
-    CheckedPose,
-    RecheckResult,
-    recheck_result,
-    rechecked_run,
-)
+from hilcell.calibration.recheck import KIND, CheckedPose, RecheckErrors, RecheckResult
 from hilcell.cell.file import Cell
 from hilcell.compensation.correction import corrected
 from hilcell.decoding import typed
@@ -72,14 +66,14 @@ class Recheck:
         ids = [PointId("recheck", number=n) for n in range(len(targets_mm))]
         for n, id in enumerate(ids):
             session.flange_point(id, station, joints_rad[n], nominal_mm=nominal_mm[n])
-        found = rechecked_run(session.log)
+        found = RecheckErrors.of_run(session.log).judgement()
         if found.verdict == "redo" and not session.log.point(ids[found.worst]).retaken:
             n = found.worst
             session.add(OutlierRemeasured(key=ids[n].key))
             again = joints_rad[n], nominal_mm[n]
             session.flange_point(ids[n], station, again[0], nominal_mm=again[1], retake=True)
         session.close_step(carried=True)
-        result = recheck_result(session.log)
+        result = RecheckResult.of(session.log)
         session.judge(
             "recheck",
             Rechecked(
@@ -92,7 +86,7 @@ class Recheck:
         )
 
     def result(self, log: Log) -> Result:
-        return {KIND: recheck_result(log)}
+        return {KIND: RecheckResult.of(log)}
 
 
 def adopt_calibration(session: CellSession, table: str) -> Calibration:

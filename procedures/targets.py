@@ -11,15 +11,7 @@ from msgspec.structs import replace
 
 from hilcell.calibration.file import Calibration, compensate_targets
 from hilcell.calibration.lookup import calibration_named
-from hilcell.calibration.target_pass import (
-    KIND,
-    TargetsResult,
-    gross_targets,
-    judged_pass,
-    listed,
-    moved_together,
-    targets_result,
-)
+from hilcell.calibration.target_pass import KIND, MeasuredTargets, TargetsResult, listed_targets
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.targets import read_targets
 from hilcell.decoding import typed
@@ -63,16 +55,16 @@ class TargetPass:
 
     def perform(self, session: CellSession) -> None:
         cell, calibration = session.cell, adopt_calibration(session, TABLE)
-        if listed(session.log) is None:
+        if listed_targets(session.log) is None:
             names, values = targets_of(cell)
             file = str(_table_of(cell))
             session.add(TargetsListed(file=file, names=names, values=values.tolist()))
-        names, values = listed(session.log) or ([], np.zeros((0, 6)))
+        names, values = listed_targets(session.log) or ([], np.zeros((0, 6)))
         joints_rad = commands_rad(cell, calibration, names, values)
         for name, joints, nominal_mm in zip(names, joints_rad, values[:, :3], strict=True):
             id = PointId(KIND, target=name)
             session.flange_point(id, station_of(cell), joints, nominal_mm=nominal_mm)
-        for name in gross_targets(session.log):
+        for name in MeasuredTargets(session.log).gross:
             n, id = names.index(name), PointId(KIND, target=name)
             if not session.log.point(id).retaken:
                 session.add(OutlierRemeasured(key=id.key))
@@ -80,12 +72,13 @@ class TargetPass:
                     id, station_of(cell), joints_rad[n], nominal_mm=values[n, :3], retake=True
                 )
         session.close_step(carried=True)
-        found = judged_pass(session.log)
-        holds = found.holds and moved_together(session.log) is None
+        targets = MeasuredTargets(session.log)
+        found = targets.verdict()
+        holds = found.holds and targets.common_motion() is None
         session.judge("targets", replace(found, holds=holds))
 
     def result(self, log: Log) -> Result:
-        found = targets_result(log)
+        found = MeasuredTargets(log).result()
         return {KIND: msgspec.to_builtins(found) | {"text": found.text}}
 
 

@@ -19,7 +19,12 @@ import numpy as np
 
 from hilcell.calibration.file import Calibration
 from hilcell.calibration.grid import grid_of
-from hilcell.calibration.lookup import NoCalibration, calibration_in, calibration_named, used
+from hilcell.calibration.lookup import (
+    NoCalibration,
+    calibration_in,
+    calibration_named,
+    used_calibration,
+)
 from hilcell.calibration.touch import (
     FrameUpdate,
     suspected,
@@ -223,7 +228,7 @@ class TouchStation:
         if not found:
             return {}
         station = station_of(log.cell).name
-        touched = Touching(station=station, calibration=used(log).provenance.latest)
+        touched = Touching(station=station, calibration=used_calibration(log).provenance.latest)
         return {"touch": found, "touched": touched}
 
     @staticmethod

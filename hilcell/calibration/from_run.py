@@ -15,10 +15,10 @@ from hilcell.calibration.file import SCHEMA, Calibration, ModelEntry, Validity, 
 from hilcell.calibration.frames import Frames
 from hilcell.calibration.grid import measured_errors
 from hilcell.calibration.influence import MEASURED, Influence, moved_frame
-from hilcell.calibration.lookup import used
+from hilcell.calibration.lookup import used_calibration
 from hilcell.calibration.lost_motion import lost_motion
-from hilcell.calibration.recheck import Judgement, rechecked_run
-from hilcell.calibration.target_pass import folded, target_points
+from hilcell.calibration.recheck import Judgement, RecheckErrors
+from hilcell.calibration.target_pass import MeasuredTargets
 from hilcell.cell.file import Cell
 from hilcell.compensation.model_choice import MODELS
 from hilcell.decoding import typed
@@ -132,11 +132,12 @@ def calibration_after(log: Log, run: str) -> Calibration:
     if log.verdict(Fitted) is not None:
         return calibration_from_log(log, run)
     if (touched := log.verdict(Touched)) is not None:
-        return _touched(used(log), log, run, touched.station)
+        return _touched(used_calibration(log), log, run, touched.station)
     if log.verdict(Judged, "targets") is not None:
-        after = folded(log, run)
-        return _updated(after, Update(run, "targets", written_now(), len(target_points(log))))
-    return _rebased(used(log), rechecked_run(log), run)
+        targets = MeasuredTargets(log)
+        update = Update(run, "targets", written_now(), len(targets.points))
+        return _updated(targets.updated(run), update)
+    return _rebased(used_calibration(log), RecheckErrors.of_run(log).judgement(), run)
 
 
 def _rebased(calibration: Calibration, found: Judgement, run: str) -> Calibration:

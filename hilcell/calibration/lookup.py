@@ -1,9 +1,7 @@
 """The calibration that a procedure uses: lookup, checks before any motion, its journal.
 
 The cell's table of the procedure names the file; its content is journalled when the run begins, so
-that the result depends on the journal alone. Points of such a run are in the calibration's {B},
-with the noise of that visit: budget lines that differ from point to point, and frames, which move
-all points of the run together.
+that the result depends on the journal alone.
 """
 
 from __future__ import annotations
@@ -20,25 +18,21 @@ from pathlib import Path
 from typing import NamedTuple, Self
 
 import msgspec
-import numpy as np
 
-from hilcell.calibration.budget import temperature
 from hilcell.calibration.decision_rule import tolerance_limits
 from hilcell.calibration.file import Calibration, read_calibration
 from hilcell.calibration.validity import CalibrationRefused, check_usable
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 from hilcell.decoding import Json, typed
-from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.calibration_status import CalibrationStatus, current_of, statuses
 from hilcell.journal.index import RunRow, find_run, in_order, read_index, row_of
-from hilcell.journal.log import Log, covariances_mm2, positions_mm
+from hilcell.journal.log import Log
 from hilcell.journal.runs import CALIBRATION, is_run, read_log
 from hilcell.model.calibration import Provenance
 from hilcell.model.events import CalibrationUsed
-from hilcell.model.point import Point
 from hilcell.model.verdicts import Rechecked
-from hilcell.ports import Array, HilcellError
+from hilcell.ports import HilcellError
 
 
 class NoCalibration(HilcellError):
@@ -205,6 +199,14 @@ def calibration_in(log: Log) -> Calibration | None:
     return None if used is None else typed(used.content, Calibration)
 
 
+def used_calibration(log: Log) -> Calibration:
+    """The calibration that the run uses; raises `NoCalibration` before it does."""
+    calibration = calibration_in(log)
+    if calibration is None:
+        raise NoCalibration("the run has used no calibration yet")
+    return calibration
+
+
 def _current(runs: Path, cell: Cell, table: str, machine: int | None) -> Path:
     """The current calibration, or the newest that is not known to be bad. A touched base is valid
     for one visit, which ends when this run homes the slide.
@@ -325,65 +327,3 @@ def _foreign(used: CalibrationFile, cell: Cell) -> Iterator[str]:
     for key in fixed:
         if attrgetter(key)(then) != attrgetter(key)(cell):
             yield f"{key} differs from the cell that was calibrated; calibrate this cell"
-
-
-@dataclass(frozen=True, eq=False)
-class Visited:
-    """Nominal and measured positions (N, 3) in {B}, and covariances.
-
-    (N, 3, 3) of visit and reading, and (7, 7) of the frames: shift (mm), rotation vector (rad),
-    growth about the origin of {B}. ``within_mm2`` (3, 3): the part of a visit that the model's
-    covariance contains.
-    """
-
-    nominal_mm: Array
-    actual_mm: Array
-    own_mm2: Array
-    common: Array
-    within_mm2: Array
-
-
-def used(log: Log) -> Calibration:
-    """The calibration that the run uses; raises `NoCalibration` before it does."""
-    calibration = calibration_in(log)
-    if calibration is None:
-        raise NoCalibration("the run has used no calibration yet")
-    return calibration
-
-
-def visited(log: Log, points: list[Point], station: str) -> Visited:
-    """The points, all measured at ``station``; raises `NoBound` without a budget."""
-    calibration = used(log)
-    T_W_B = calibration.base(station)
-    T_B_L = inverse(T_W_B) @ log.matrix("world")
-    nominal_mm = apply(inverse(T_W_B), np.array([p.nominal_mm for p in points], dtype=float))
-    alone_mm2, within_mm2, common = _noise(log, calibration, station, T_W_B)
-    own_mm2 = alone_mm2 + covariances_mm2(points, T_B_L[:3, :3])
-    return Visited(nominal_mm, apply(T_B_L, positions_mm(points)), own_mm2, common, within_mm2)
-
-
-def _noise(
-    log: Log, calibration: Calibration, station: str, T_W_B: Array
-) -> tuple[Array, Array, Array]:
-    """Covariances in {B}: of one visit and of its part within the model, (3, 3); of frames, (7, 7).
-
-    The tracker was set up for the calibration and again for this run, so that the lines of {W}
-    count twice. The drill is not included.
-    """
-    stated = calibration.budget
-    air_c, then_c = log.temperatures_c(), calibration.validity.temperature_c
-    now_c = float(np.mean(air_c)) if air_c and then_c is not None else None
-    air = temperature(stated.growth_per_k, then_c, stated.air_range_k, now_c)
-    set_up = [line for line in stated.lines if line.frame == "world" and not line.per_visit]
-    frames = {"world": np.eye(4), "base": T_W_B}
-    alone, within, common = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((7, 7))
-    for line in (*stated.lines, *set_up, *stated.stations[station], air):
-        if line.frame == "tool" or line.applies == "in validation":
-            continue
-        covariance = line.about(frames[line.frame], T_W_B)
-        if line.per_visit:
-            alone += covariance[:3, :3]
-            within += covariance[:3, :3] * line.in_model
-        else:
-            common += covariance
-    return alone, within, common

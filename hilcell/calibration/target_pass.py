@@ -6,7 +6,8 @@ motion that the calibration does not predict (base, slide or mount), nothing is 
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import msgspec
 import numpy as np
@@ -14,8 +15,8 @@ import numpy as np
 from hilcell.calibration.budget import target_bounds
 from hilcell.calibration.decision_rule import decide_errors
 from hilcell.calibration.file import Calibration, TargetPass, Targets
-from hilcell.calibration.lookup import used, visited
-from hilcell.calibration.recheck import FEWEST, Judgement, as_predicted, judged
+from hilcell.calibration.lookup import used_calibration
+from hilcell.calibration.recheck import FEWEST, Judgement, RecheckErrors, Visits
 from hilcell.compensation.model import Prediction
 from hilcell.compensation.residual import TargetResiduals
 from hilcell.geometry.frames import poses_from_zyx, zyx_from_pose
@@ -30,38 +31,12 @@ from hilcell.ports import Array
 KIND = "targets"
 
 
-def listed(log: Log) -> tuple[list[str], Array] | None:
+def listed_targets(log: Log) -> tuple[list[str], Array] | None:
     """Names and values (N, 6) in {W} of the targets, once journalled."""
     for targets in log.happened(TargetsListed):
         values: Array = np.array(targets.values, dtype=float)
         return targets.names, values
     return None
-
-
-def target_points(log: Log) -> list[Point]:
-    names, _ = listed(log) or ([], None)
-    known = {point.id.target: point for point in log.select(KIND)}
-    return [known[name] for name in names if name in known]
-
-
-def gross_targets(log: Log) -> list[str]:
-    points, (this, poses) = target_points(log), _pass(log)
-    residuals = TargetResiduals.learn([this.measured()], _stated_mm2(used(log), poses))
-    sigmas = residuals.sigmas()
-    gross = 5.0
-    return [p.id.target for p, size in zip(points, sigmas, strict=True) if not size <= gross]
-
-
-def folded(log: Log, run: str) -> Calibration:
-    calibration, (this, poses) = used(log), _pass(log, run)
-    this = this.without(gross_targets(log))
-    before = calibration.targets.passes if calibration.targets is not None else []
-    passes = [*before, *([this] if this.names else [])]
-    if not passes:
-        return calibration
-    measured = [each.measured() for each in passes]
-    residuals = TargetResiduals.learn(measured, _stated_mm2(calibration, poses))
-    return msgspec.structs.replace(calibration, targets=Targets(residuals.variance_mm2, passes))
 
 
 class TargetError(msgspec.Struct, frozen=True):
@@ -115,88 +90,118 @@ class TargetsResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
         )
 
 
-def targets_result(log: Log) -> TargetsResult:
-    calibration, points = used(log), target_points(log)
-    station, (_, values) = points[0].station, listed(log) or ([], np.zeros((0, 6)))
-    after, sizes_mm = folded(log, ""), lengths_mm(_errors_mm(log))
-    before_mm, after_mm = (
-        float(target_bounds(each, station, poses_from_zyx(values)).radii_mm.mean())
-        for each in (calibration, after)
-    )
-    left, moved = np.ones(1), moved_together(log)
-    if after.targets is not None:
-        left = after.targets.residuals().at(_pass(log)[1])[1]
-    return TargetsResult(
-        calibration=calibration.provenance.latest,
-        station=station,
-        points=len(points),
-        as_found=figures_of(sizes_mm)._asdict(),
-        in_tolerance=judged_pass(log).holds,
-        as_predicted=moved is None,
-        shift_mm=None if moved is None else moved.shift_mm,
-        u_mm=None if moved is None else moved.u_mm,
-        share=1.0 - float(left.mean()),
-        bound_before_mm=before_mm,
-        bound_after_mm=after_mm,
-        left_out=gross_targets(log),
-        targets=[
-            TargetError(point.id.target, float(size_mm))
-            for point, size_mm in zip(points, sizes_mm, strict=True)
-        ],
-    )
+@dataclass(frozen=True, eq=False)
+class MeasuredTargets:
+    """The targets that a run has measured so far."""
 
+    log: Log
 
-def judged_pass(log: Log) -> Judged:
-    return decide_errors(log, _errors_mm(log))
+    @cached_property
+    def points(self) -> list[Point]:
+        names, _ = listed_targets(self.log) or ([], None)
+        known = {point.id.target: point for point in self.log.select(KIND)}
+        return [known[name] for name in names if name in known]
 
+    @cached_property
+    def calibration(self) -> Calibration:
+        return used_calibration(self.log)
 
-def moved_together(log: Log) -> Judgement | None:
-    """Judgement of a motion common to all targets; None where not significant.
+    @property
+    def station(self) -> str:
+        return self.points[0].station
 
-    Fewer targets than in a re-check are not judged. Errors of the model are alike at neighbouring
-    targets: many say no more than ten.
-    """
-    points = target_points(log)
-    if len(points) < FEWEST:
-        return None
-    errors = as_predicted(log, points, points[0].station)
-    apart = 10  # targets that count as independent, as in a re-check
-    own_mm2 = errors.own_mm2 * max(1.0, len(points) / apart)
-    judgement = judged(replace(errors, own_mm2=own_mm2))
-    return None if judgement.moved.holds else judgement
+    @cached_property
+    def visits(self) -> Visits:
+        return Visits.of(self.log, self.points, self.station)
 
+    @cached_property
+    def poses(self) -> Array:
+        """Commanded poses (N, 4, 4) in {B}."""
+        return forward(self.log.cell.robot.arm(), commanded_rad(self.points))
 
-def _errors_mm(log: Log) -> Array:
-    points = target_points(log)
-    visits = visited(log, points, points[0].station)
-    return visits.actual_mm - visits.nominal_mm
+    def as_pass(self, run: str) -> TargetPass:
+        residuals_mm = self.visits.actual_mm - self.poses[:, :3, 3] - self._predicted.error_mm
+        return TargetPass(
+            run,
+            [point.id.target for point in self.points],
+            [tuple(row) for row in zyx_from_pose(self.poses).tolist()],
+            [tuple(row) for row in residuals_mm.tolist()],
+            self.visits.own_mm2.tolist(),
+            self.visits.common.tolist(),
+        )
 
+    @cached_property
+    def gross(self) -> list[str]:
+        """Targets that contradict their neighbours."""
+        residuals = TargetResiduals.learn([self.as_pass("").measured()], self._stated_mm2)
+        gross = 5.0  # standard deviations
+        sigmas = zip(self.points, residuals.sigmas(), strict=True)
+        return [point.id.target for point, size in sigmas if not size <= gross]
 
-def _pass(log: Log, run: str = "") -> tuple[TargetPass, Array]:
-    """The pass, and its commanded poses (N, 4, 4) in {B}."""
-    calibration, points = used(log), target_points(log)
-    visits = visited(log, points, points[0].station)
-    poses = forward(log.cell.robot.arm(), commanded_rad(points))
-    model_mm = _predicted(calibration, poses).error_mm
-    residuals_mm = visits.actual_mm - poses[:, :3, 3] - model_mm
-    this = TargetPass(
-        run,
-        [point.id.target for point in points],
-        [tuple(row) for row in zyx_from_pose(poses).tolist()],
-        [tuple(row) for row in residuals_mm.tolist()],
-        visits.own_mm2.tolist(),
-        visits.common.tolist(),
-    )
-    return this, poses
+    def updated(self, run: str) -> Calibration:
+        """The calibration with this pass of a ``run`` folded in."""
+        this, earlier = self.as_pass(run).without(self.gross), self.calibration.targets
+        passes = [*([] if earlier is None else earlier.passes), *([this] if this.names else [])]
+        if not passes:
+            return self.calibration
+        measured = [each.measured() for each in passes]
+        residuals = TargetResiduals.learn(measured, self._stated_mm2)
+        targets = Targets(residuals.variance_mm2, passes)
+        return msgspec.structs.replace(self.calibration, targets=targets)
 
+    def verdict(self) -> Judged:
+        return decide_errors(self.log, self.visits.error_mm)
 
-def _predicted(calibration: Calibration, poses: Array) -> Prediction:
-    """Prediction of the learnt model at poses; outside, that of the volume's face."""
-    at = poses.copy()
-    at[:, :3, 3] = calibration.grid().clamped(poses[:, :3, 3])
-    return calibration.learnt_model().predict(at)
+    def common_motion(self) -> Judgement | None:
+        """Judgement of a motion common to all targets; None where not significant.
 
+        Fewer targets than in a re-check are not judged. Errors of the model are alike at
+        neighbouring targets: many say no more than ten.
+        """
+        if len(self.points) < FEWEST:
+            return None
+        errors = RecheckErrors.of(self.log, self.points, self.station)
+        apart = 10  # targets that count as independent, as in a re-check
+        own_mm2 = errors.own_mm2 * max(1.0, len(self.points) / apart)
+        judgement = replace(errors, own_mm2=own_mm2).judgement()
+        return None if judgement.moved.holds else judgement
 
-def _stated_mm2(calibration: Calibration, poses: Array) -> float:
-    covariance_mm2 = _predicted(calibration, poses).covariance_mm2
-    return float(np.trace(covariance_mm2, axis1=1, axis2=2).mean()) / 3
+    def result(self) -> TargetsResult:
+        _, values = listed_targets(self.log) or ([], np.zeros((0, 6)))
+        after, sizes_mm = self.updated(""), lengths_mm(self.visits.error_mm)
+        before_mm, after_mm = (
+            float(target_bounds(each, self.station, poses_from_zyx(values)).radii_mm.mean())
+            for each in (self.calibration, after)
+        )
+        left, moved = np.ones(1), self.common_motion()
+        if after.targets is not None:
+            left = after.targets.residuals().at(self.poses)[1]
+        return TargetsResult(
+            calibration=self.calibration.provenance.latest,
+            station=self.station,
+            points=len(self.points),
+            as_found=figures_of(sizes_mm)._asdict(),
+            in_tolerance=self.verdict().holds,
+            as_predicted=moved is None,
+            shift_mm=None if moved is None else moved.shift_mm,
+            u_mm=None if moved is None else moved.u_mm,
+            share=1.0 - float(left.mean()),
+            bound_before_mm=before_mm,
+            bound_after_mm=after_mm,
+            left_out=self.gross,
+            targets=[
+                TargetError(point.id.target, float(size_mm))
+                for point, size_mm in zip(self.points, sizes_mm, strict=True)
+            ],
+        )
+
+    @cached_property
+    def _predicted(self) -> Prediction:
+        """Prediction of the learnt model at the poses; outside, that of the volume's face."""
+        at = self.poses.copy()
+        at[:, :3, 3] = self.calibration.grid().clamped(self.poses[:, :3, 3])
+        return self.calibration.learnt_model().predict(at)
+
+    @property
+    def _stated_mm2(self) -> float:
+        return float(np.trace(self._predicted.covariance_mm2, axis1=1, axis2=2).mean()) / 3

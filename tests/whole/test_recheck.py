@@ -7,7 +7,7 @@ import pytest
 
 from hilcell.calibration import decision_rule
 from hilcell.calibration.file import read_calibration
-from hilcell.calibration.recheck import recheck_result
+from hilcell.calibration.recheck import RecheckResult
 from hilcell.journal.runs import CALIBRATION, read_log
 from hilcell.model.verdicts import Limits
 from tests.whole.bench import SMALL, command, corrected, ran, sets, simulation
@@ -51,7 +51,7 @@ def test_a_lost_zero_is_updated_and_the_update_is_valid(
     assert corrected("V", targets, "S1100", out, "--runs", runs).returncode == 2
     monkeypatch.setattr(decision_rule, "tolerance_limits", lambda cell: Limits(0.1, 0.11, None))
     for run in (first, again):  # its base moved; as predicted: both out of such a tolerance
-        result = recheck_result(read_log(run.folder))
+        result = RecheckResult.of(read_log(run.folder))
         assert (result.verdict, result.in_tolerance) == ("redo", False)
         assert "Calibrate again: the errors are as predicted, but out of tolerance" in result.text
 

@@ -22,7 +22,7 @@ from hilcell.calibration.decision_rule import tolerance_limits
 from hilcell.calibration.iso9283 import attained
 from hilcell.calibration.position_errors import Errors, counting, position_errors
 from hilcell.calibration.recheck import KIND as RECHECK
-from hilcell.calibration.recheck import rechecked
+from hilcell.calibration.recheck import RecheckErrors
 from hilcell.decoding import typed
 from hilcell.geometry.statistics import bounds95_mm, figures_of, from_mean_mm, repeatability_mm
 from hilcell.journal.log import Log, positions_mm
@@ -161,7 +161,7 @@ class Measured:
         if not points or "world" not in self.log.frames:
             return np.zeros(0), np.zeros(0)
         try:
-            result = rechecked(self.log)
+            result = RecheckErrors.of_run(self.log)
         except HilcellError:
             return position_errors(self.log, points).norms_mm, np.zeros(0)
         return np.linalg.norm(result.errors_mm, axis=1), bounds95_mm(result.each_mm2)

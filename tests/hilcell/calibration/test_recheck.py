@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration import recheck as module
-from hilcell.calibration.lookup import Visited
-from hilcell.calibration.recheck import Rechecked, judged, suspicions
+from hilcell.calibration.recheck import RecheckErrors, Visits
 from hilcell.cell.file import load_cell
 from hilcell.compensation.model import Prediction
 from hilcell.geometry.frames import apply, from_rotvec, matrix
@@ -25,8 +24,8 @@ OWN_MM2 = np.tile(np.diag([1.0, 1.0, 1.5]) * OWN_MM**2, (7, 1, 1))
 COMMON_MM2 = np.array(np.kron(np.ones((7, 7)), FRAME_MM**2 * np.eye(3)), dtype=np.float64)
 
 
-def found(errors_mm: Array) -> Rechecked:
-    return Rechecked(TARGETS_MM, errors_mm, OWN_MM2, COMMON_MM2, LEVEL)
+def found(errors_mm: Array) -> RecheckErrors:
+    return RecheckErrors(TARGETS_MM, errors_mm, OWN_MM2, COMMON_MM2, LEVEL)
 
 
 def noise_mm(rng: np.random.Generator) -> Array:
@@ -45,7 +44,7 @@ def moved_mm(shift_mm: list[float], turn_rad: list[float]) -> Array:
 
 def test_a_calibration_that_holds_is_refused_as_rarely_as_stated() -> None:
     rng = np.random.default_rng(1)
-    verdicts = [judged(found(noise_mm(rng))) for _ in range(600)]
+    verdicts = [found(noise_mm(rng)).judgement() for _ in range(600)]
     wrong = sum(each.verdict != "valid" for each in verdicts)
     assert 1 <= wrong <= 14  # of 6 expected, 3 sigma
     assert np.mean([each.moved.chi2 for each in verdicts]) == pytest.approx(6.0, abs=0.45)
@@ -57,7 +56,7 @@ def test_a_base_that_moved_is_an_update_with_its_motion() -> None:
     shift, turn = [0.3, -0.1, 0.05], [1e-4, 0.0, -2e-4]
     off, sizes = [], []
     for _ in range(100):
-        judgement = judged(found(moved_mm(shift, turn) + noise_mm(rng)))
+        judgement = found(moved_mm(shift, turn) + noise_mm(rng)).judgement()
         assert judgement.verdict in ("update", "redo")
         off.append(judgement.motion - np.array([*shift, *turn]))
         sizes.append(judgement.shift_mm)
@@ -70,7 +69,7 @@ def test_a_base_that_moved_is_an_update_with_its_motion() -> None:
 
 
 def test_the_base_where_it_stands_now_takes_the_motion_away() -> None:
-    judgement = judged(found(moved_mm([0.4, 0.0, -0.2], [0.0, 3e-4, 1e-4])))
+    judgement = found(moved_mm([0.4, 0.0, -0.2], [0.0, 3e-4, 1e-4])).judgement()
     assert judgement.verdict == "update"
     np.testing.assert_allclose(
         apply(judgement.base, TARGETS_MM) - TARGETS_MM,
@@ -84,7 +83,7 @@ def test_the_base_where_it_stands_now_takes_the_motion_away() -> None:
 def test_one_pose_that_no_motion_explains_is_a_redo_and_named() -> None:
     errors_mm = noise_mm(np.random.default_rng(3))
     errors_mm[4] += [0.0, 0.25, 0.0]
-    judgement = judged(found(errors_mm))
+    judgement = found(errors_mm).judgement()
     assert judgement.verdict == "redo"
     assert judgement.worst == 4
 
@@ -92,11 +91,11 @@ def test_one_pose_that_no_motion_explains_is_a_redo_and_named() -> None:
 def test_a_frame_that_is_known_badly_moves_no_base() -> None:
     """The same shift of all poses: frames explain it where they are uncertain by as much."""
     shifted_mm = np.tile([0.08, 0.0, 0.0], (7, 1))
-    exact = Rechecked(TARGETS_MM, shifted_mm, OWN_MM2, np.zeros((21, 21)), LEVEL)
-    vague = Rechecked(TARGETS_MM, shifted_mm, OWN_MM2, 9 * COMMON_MM2, LEVEL)
-    assert judged(exact).verdict == "update"
-    assert judged(vague).verdict == "valid"
-    assert judged(vague).u_mm > judged(exact).u_mm
+    exact = RecheckErrors(TARGETS_MM, shifted_mm, OWN_MM2, np.zeros((21, 21)), LEVEL)
+    vague = RecheckErrors(TARGETS_MM, shifted_mm, OWN_MM2, 9 * COMMON_MM2, LEVEL)
+    assert exact.judgement().verdict == "update"
+    assert vague.judgement().verdict == "valid"
+    assert vague.judgement().u_mm > exact.judgement().u_mm
 
 
 @pytest.mark.parametrize(
@@ -112,7 +111,7 @@ def test_what_cannot_be_judged_is_refused(change: dict[str, Any], said: str) -> 
         "common_mm2": COMMON_MM2, "orientations": LEVEL,
     }  # fmt: skip
     with pytest.raises(HilcellError, match=said):
-        judged(Rechecked(**(values | change)))
+        RecheckErrors(**(values | change)).judgement()
 
 
 CELL = load_cell("paper")
@@ -125,7 +124,7 @@ def test_an_axis_that_lost_its_zero_is_suspected(axis: int, lost_deg: float) -> 
     lost_rad = np.radians(lost_deg) * np.eye(6)[axis - 1]
     moved = forward(arm, JOINTS_RAD + lost_rad)[:, :3, 3] - TARGETS_MM
     this = found(moved + noise_mm(np.random.default_rng(axis)))
-    likeliest = suspicions(this, judged(this), arm, JOINTS_RAD)[0]
+    likeliest = this.suspicions(this.judgement(), arm, JOINTS_RAD)[0]
     assert (likeliest.cause, likeliest.unit) == ("zero lost", f"deg of axis {axis}")
     assert likeliest.size == pytest.approx(lost_deg, rel=0.25)
 
@@ -139,9 +138,9 @@ SLIP_MM = np.array([0.5, 0.0, 0.0])
 
 def seen(errors_mm: Array, orientations: Array) -> tuple[str, list[str]]:
     """Return the verdict, and what is suspected."""
-    this = Rechecked(TARGETS_MM, errors_mm, OWN_MM2, COMMON_MM2, orientations)
-    judgement = judged(this)
-    causes = suspicions(this, judgement, CELL.robot.arm(), JOINTS_RAD)
+    this = RecheckErrors(TARGETS_MM, errors_mm, OWN_MM2, COMMON_MM2, orientations)
+    judgement = this.judgement()
+    causes = this.suspicions(judgement, CELL.robot.arm(), JOINTS_RAD)
     return judgement.verdict, [each.cause for each in causes if each.cause == "mount slipped"]
 
 
@@ -154,19 +153,19 @@ def test_one_orientation_does_not_tell_a_slipped_mount_from_a_moved_base() -> No
 def test_turned_poses_do() -> None:
     noise = noise_mm(np.random.default_rng(6))
     assert seen(moved_mm([0.5, 0.0, 0.0], [0.0, 0.0, 0.0]) + noise, TURNED) == ("update", [])
-    this = Rechecked(TARGETS_MM, TURNED @ SLIP_MM + noise, OWN_MM2, COMMON_MM2, TURNED)
-    assert judged(this).verdict == "redo"
-    assert judged(this).slipped.holds
-    assert judged(this).slip_mm == pytest.approx(0.5, abs=0.05)
+    this = RecheckErrors(TARGETS_MM, TURNED @ SLIP_MM + noise, OWN_MM2, COMMON_MM2, TURNED)
+    assert this.judgement().verdict == "redo"
+    assert this.judgement().slipped.holds
+    assert this.judgement().slip_mm == pytest.approx(0.5, abs=0.05)
 
 
 def test_what_needs_no_cause_has_none() -> None:
     this = found(noise_mm(np.random.default_rng(9)))
-    assert suspicions(this, judged(this), CELL.robot.arm(), JOINTS_RAD) == []
+    assert this.suspicions(this.judgement(), CELL.robot.arm(), JOINTS_RAD) == []
     errors_mm = noise_mm(np.random.default_rng(3))
     errors_mm[4] += [0.0, 0.25, 0.0]  # one reading, which nothing of the robot explains
     this = found(errors_mm)
-    assert suspicions(this, judged(this), CELL.robot.arm(), JOINTS_RAD) == []
+    assert this.suspicions(this.judgement(), CELL.robot.arm(), JOINTS_RAD) == []
 
 
 def test_turned_poses_are_judged_by_what_the_model_states_of_them(
@@ -177,7 +176,7 @@ def test_turned_poses_are_judged_by_what_the_model_states_of_them(
     joints_deg = np.degrees(CELL.robot.nominal().joints_for(poses))
     points = [SimpleNamespace(commanded_deg=tuple(each)) for each in joints_deg]
     zeros = np.zeros((7, 3, 3))
-    visit = Visited(TARGETS_MM, TARGETS_MM, zeros, np.zeros((7, 7)), zeros[0])
+    visit = Visits(TARGETS_MM, TARGETS_MM, zeros, np.zeros((7, 7)), zeros[0])
     asked: list[Array] = []
 
     def predict(poses: Array) -> Prediction:
@@ -185,9 +184,9 @@ def test_turned_poses_are_judged_by_what_the_model_states_of_them(
         return Prediction(np.zeros((7, 3)), OWN_MM2)
 
     made = SimpleNamespace(error_model=lambda: SimpleNamespace(predict=predict))
-    monkeypatch.setattr(module, "used", lambda log: made)
-    monkeypatch.setattr(module, "visited", lambda *given: visit)
+    monkeypatch.setattr(module, "used_calibration", lambda log: made)
+    monkeypatch.setattr(Visits, "of", lambda *given: visit)
     log: Any = SimpleNamespace(select=lambda kind: points, cell=CELL)
-    found = module.rechecked(log)
+    found = RecheckErrors.of_run(log)
     np.testing.assert_allclose(asked[0], poses, atol=1e-6)
     np.testing.assert_allclose(found.orientations, poses[:, :3, :3], atol=1e-9)
