@@ -43,12 +43,6 @@ class Holes:
         """The part's outward normals (N, 3): the tool points against them."""
         return np.asarray(-self.tools[:, 0, :, 2])
 
-    def one(self, number: int) -> Holes:
-        some = slice(number, number + 1)
-        return replace(
-            self, names=self.names[some], points_mm=self.points_mm[some], tools=self.tools[some]
-        )
-
     def reflector_poses(self) -> Array:
         """Allowed poses (N, K, 4, 4) of {T} in {W}."""
         return self.poses() @ self.T_D_T

@@ -11,7 +11,7 @@ at each station.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,7 +75,7 @@ def plan(
     is corrected. ``say`` reports each step of a long plan. Raises `HilcellError`.
     """
     slow_holes = 500  # whose plan takes seconds
-    candidates = _candidates(cell, free=free)
+    candidates = [*cell.station, *(_raster(cell) if free else ())]
     if calibrated is not None:
         candidates = [each for each in candidates if each.name in calibrated.stations]
         for station in candidates:
@@ -83,19 +83,18 @@ def plan(
     slow = len(holes.names) >= slow_holes
     if slow:
         say(f"planning {counted(len(holes.names), 'hole')}: where they are reached")
-    reached = reach(cell, holes, candidates, calibrated)
-    off_mm = _off_mm(cell, holes, candidates)
+    reached = Reach(cell, holes, candidates, calibrated)
     new = np.array([station not in cell.station for station in candidates])
-    chosen = fewest(reached.ok, (new + _remoteness(off_mm, reached.ok)) / 2)
-    closest = np.where(reached.ok[:, chosen], off_mm[:, chosen], np.inf).argmin(axis=1)
+    chosen = fewest(reached.ok, (new + reached.remoteness) / 2)
+    closest = np.where(reached.ok[:, chosen], reached.off_mm[:, chosen], np.inf).argmin(axis=1)
     owner = chosen[closest]
     order = along_rail({each: candidates[each].rail_mm for each in owner.tolist()})
     stations = []
     for each in order:
+        own = np.flatnonzero(owner == each)
         if slow:
-            count = int((owner == each).sum())
-            say(f"{candidates[each].name}: the order of {counted(count, 'hole')}")
-        stations.append(_at_station(holes, reached, candidates[each], each, owner))
+            say(f"{candidates[each].name}: the order of {counted(len(own), 'hole')}")
+        stations.append(reached.planned(each, own))
     return HolePlan(stations)
 
 
@@ -107,52 +106,14 @@ def along_rail(rail_mm: dict[int, float]) -> list[int]:
     return order
 
 
-def _candidates(cell: Cell, *, free: bool) -> list[Station]:
-    raster_mm = 50.0  # of free stations along the rail
-    recorded = list(cell.station)
-    if not free:
-        return recorded
-    low = cell.rail.travel_min_mm + cell.rail.back_off_mm
-    raster = raster_mm * np.arange(
-        np.ceil(low / raster_mm), np.floor(cell.rail.travel_max_mm / raster_mm) + 1
-    )
-    known = {station.rail_mm for station in recorded}
-    return recorded + [
-        Station(name=f"at {rail_mm:g} mm", rail_mm=rail_mm, strip_mm=rail_mm)
-        for rail_mm in raster.tolist()
-        if rail_mm not in known
-    ]
-
-
-def _off_mm(cell: Cell, holes: Holes, stations: list[Station]) -> Array:
-    """Distance of each hole from each station along the rail, (N, S)."""
-    from_start = holes.points_mm - cell.layout.nominal_base(0.0)[:3, 3]
-    along_mm = from_start @ np.array(cell.layout.rail_direction)
-    rail_mm = np.array([station.rail_mm for station in stations])
-    return np.asarray(np.abs(along_mm[:, None] - rail_mm))
-
-
-def _remoteness(off_mm: Array, ok: Bools) -> Array:
-    """Remoteness of the holes that each station reaches, (S,), 0..1."""
-    count = ok.sum(axis=0)
-    mean_mm = np.where(ok, off_mm, 0.0).sum(axis=0) / np.maximum(count, 1)
-    return np.where(count > 0, mean_mm / max(float(off_mm.max()), 1.0), 1.0)
-
-
-def _at_station(
-    holes: Holes, reached: Reach, station: Station, column: int, owner: Ints
-) -> StationPlan:
-    own = np.flatnonzero(owner == column)
-    found = route(holes.points_mm[own])
-    visit = own[found.order]
-    poses = holes.poses()[visit, reached.turn[visit, column]]
-    return StationPlan(
-        station,
-        [holes.names[each] for each in visit],
-        zyx_from_pose(poses),
-        found.travel_mm,
-        found.bound_mm,
-    )
+def _raster(cell: Cell) -> Iterator[Station]:
+    """Free stations along the rail, beside the recorded ones."""
+    raster_mm, travel_mm = 50.0, cell.rail.travel_max_mm
+    low = np.ceil((cell.rail.travel_min_mm + cell.rail.back_off_mm) / raster_mm)
+    known = {station.rail_mm for station in cell.station}
+    for rail_mm in (raster_mm * np.arange(low, np.floor(travel_mm / raster_mm) + 1)).tolist():
+        if rail_mm not in known:
+            yield Station(name=f"at {rail_mm:g} mm", rail_mm=rail_mm, strip_mm=rail_mm)
 
 
 def fewest(ok: Bools, burden: Array) -> Ints:
@@ -180,144 +141,132 @@ def fewest(ok: Bools, burden: Array) -> Ints:
     return chosen
 
 
-@dataclass(frozen=True, slots=True)
 class Reach:
-    """Holes against stations, each (N, S): ``ok``, and the rotation of the tool with most
-    margin.
+    """N holes against S stations: from which ones each hole is reached, seen and corrected.
+
+    ``ok`` (N, S); ``turn`` (N, S): the rotation of the tool with most margin; ``off_mm`` (N, S):
+    distance of the hole from the station along the rail.
     """
 
-    ok: Bools
-    turn: Ints
+    def __init__(
+        self, cell: Cell, holes: Holes, stations: Sequence[Station], served: Volume | None = None
+    ) -> None:
+        """``served``: corrected poses. Raises `HilcellError` with reasons for unreached holes."""
+        self._cell, self._holes, self._stations, self._served = cell, holes, stations, served
+        self._robot, self._limits_rad = cell.robot.nominal(), cell.robot.margin_limits_rad
+        self._poses = holes.reflector_poses()
+        tracker = cell.tracker  # a reflector may be found anywhere within a radius
+        self._low_mm = tracker.min_range_mm + tracker.find_radius_mm
+        self._high_mm = tracker.max_range_mm - tracker.find_radius_mm
+        self._range_mm = lengths_mm(holes.points_mm - tracker.pose.matrix()[:3, 3])
+        self._in_range = (self._range_mm >= self._low_mm) & (self._range_mm <= self._high_mm)
+        room_rad = np.empty((len(holes.names), len(stations)))
+        self.turn: Ints = np.empty(room_rad.shape, dtype=int)
+        for number, station in enumerate(stations):
+            room = self._room_rad(self._in_base(station, self._poses))
+            if served is not None:
+                room = np.where(served.takes(station.name, self._poses), room, -np.inf)
+            self.turn[:, number] = room.argmax(axis=1)
+            room_rad[:, number] = room.max(axis=1)
+        self.ok: Bools = (room_rad >= 0.0) & self._in_range[:, None]
+        from_start_mm = holes.points_mm - cell.layout.nominal_base(0.0)[:3, 3]
+        along_mm = from_start_mm @ np.array(cell.layout.rail_direction)
+        rail_mm = np.array([station.rail_mm for station in stations])
+        self.off_mm: Array = np.abs(along_mm[:, None] - rail_mm)
+        self._refuse_unreached()
 
+    @property
+    def remoteness(self) -> Array:
+        """Remoteness of the holes that each station reaches, (S,), 0..1."""
+        count = self.ok.sum(axis=0)
+        mean_mm = np.where(self.ok, self.off_mm, 0.0).sum(axis=0) / np.maximum(count, 1)
+        return np.where(count > 0, mean_mm / max(float(self.off_mm.max()), 1.0), 1.0)
 
-def reach(
-    cell: Cell, holes: Holes, stations: Sequence[Station], served: Volume | None = None
-) -> Reach:
-    """Holes that each station reaches and corrects; raises `HilcellError` with reasons."""
-    room_rad = np.empty((len(holes.names), len(stations)))
-    turn = np.empty(room_rad.shape, dtype=int)
-    poses = holes.reflector_poses()
-    for number, station in enumerate(stations):
-        room = _room_rad(cell, _in_base(cell, station, poses))
-        if served is not None:
-            room = np.where(served.takes(station.name, poses), room, -np.inf)
-        turn[:, number] = room.argmax(axis=1)
-        room_rad[:, number] = room.max(axis=1)
-    ok = (room_rad >= 0.0) & _in_range(cell, holes)[:, None]
-    _Unreached(cell, holes, stations, served).refuse(ok)
-    return Reach(ok, turn)
+    def planned(self, column: int, own: Ints) -> StationPlan:
+        """Plan of a station for its holes, both by number."""
+        found = route(self._holes.points_mm[own])
+        visit = own[found.order]
+        poses = self._holes.poses()[visit, self.turn[visit, column]]
+        names = [self._holes.names[each] for each in visit]
+        return StationPlan(
+            self._stations[column], names, zyx_from_pose(poses), found.travel_mm, found.bound_mm
+        )
 
+    def _in_base(self, station: Station, poses: Array) -> Array:
+        return inverse(self._cell.layout.nominal_base(station.rail_mm)) @ poses
 
-def _in_base(cell: Cell, station: Station, poses: Array) -> Array:
-    return inverse(cell.layout.nominal_base(station.rail_mm)) @ poses
+    def _room_rad(self, poses: Array) -> Array:
+        """Margin to a joint limit or straight wrist at poses in {B}; -inf out of reach."""
+        low_rad, high_rad = self._limits_rad
+        room = np.full(poses.shape[:-2], -np.inf)
+        there = self._robot.excess_mm(poses) == 0
+        joints = self._robot.nearest(poses[there])
+        inside = np.minimum(joints - low_rad, high_rad - joints).min(axis=-1)
+        room[there] = np.where(inside >= 0, np.minimum(inside, np.abs(joints[:, 4])), inside)
+        return room
 
+    def _refuse_unreached(self) -> None:
+        bad = np.flatnonzero(~self.ok.any(axis=1)).tolist()
+        if not bad:
+            return
+        holes, stations = self._holes, self._stations
+        why = (f"{holes.names[n]}: {self._why_not(n)}" for n in bad[:MAX_LISTED])
+        named = indented(why, len(bad))
+        places = stations[0].name if len(stations) == 1 else f"any of {len(stations)} stations"
+        hint = unit_hint(holes.points_mm) if len(bad) == len(self.ok) else ""
+        raise HilcellError(
+            f"{len(bad)} of {counted(len(self.ok), 'hole')} cannot be drilled from {places} in the "
+            f"robot's posture (robot.status = {self._cell.robot.status}):\n{named}\n"
+            f"{self._act(bad)}{hint}",
+            code="HC-C10",
+        )
 
-def _room_rad(cell: Cell, poses: Array) -> Array:
-    """Margin to a joint limit or straight wrist at poses in {B}; -inf out of reach."""
-    robot, limits = cell.robot.nominal(), cell.robot.margin_limits_rad
-    room = np.full(poses.shape[:-2], -np.inf)
-    there = robot.excess_mm(poses) == 0
-    joints = robot.nearest(poses[there])
-    inside = np.minimum(joints - limits[0], limits[1] - joints).min(axis=-1)
-    room[there] = np.where(inside >= 0, np.minimum(inside, np.abs(joints[:, 4])), inside)
-    return room
-
-
-def _range_mm(cell: Cell, holes: Holes) -> Array:
-    return np.asarray(np.linalg.norm(holes.points_mm - cell.tracker.pose.matrix()[:3, 3], axis=1))
-
-
-def _range_limits_mm(cell: Cell) -> tuple[float, float]:
-    """Return the tracker's limits less the radius within which it may find a reflector."""
-    margin = cell.tracker.find_radius_mm
-    return cell.tracker.min_range_mm + margin, cell.tracker.max_range_mm - margin
-
-
-def _in_range(cell: Cell, holes: Holes) -> Bools:
-    range_mm, (low, high) = _range_mm(cell, holes), _range_limits_mm(cell)
-    return (range_mm >= low) & (range_mm <= high)
-
-
-@dataclass(frozen=True, slots=True)
-class _Unreached:
-    """Reasons why holes are drilled from no station; ``served``: corrected poses."""
-
-    cell: Cell
-    holes: Holes
-    stations: Sequence[Station]
-    served: Volume | None
-
-    def refuse(self, ok: Bools) -> None:
-        """Raise `HilcellError` with reasons where a hole is reached (N, S) from no station."""
-        holes, stations = self.holes, self.stations
-        bad = np.flatnonzero(~ok.any(axis=1))
-        if len(bad):
-            why = (
-                f"{holes.names[n]}: {self._why_not(holes.one(n))}"
-                for n in bad[:MAX_LISTED].tolist()
-            )
-            named = indented(why, len(bad))
-            count = counted(len(ok), "hole")
-            places = stations[0].name if len(stations) == 1 else f"any of {len(stations)} stations"
-            hint = unit_hint(holes.points_mm) if len(bad) == len(ok) else ""
-            raise HilcellError(
-                f"{len(bad)} of {count} cannot be drilled from {places} in the robot's posture "
-                f"(robot.status = {self.cell.robot.status}):\n{named}\n"
-                f"{self._act(bad)}{hint}",
-                code="HC-C10",
-            )
-
-    def _act(self, bad: Ints) -> str:
-        served = self.served
-        if served is None:
+    def _act(self, bad: list[int]) -> str:
+        if self._served is None:
             return (
                 "move the part or the tracker, try --free stations, or another posture: --set "
                 "robot.status=N, 0 to 7"
             )
-        names, poses = [each.name for each in self.stations], self.holes.reflector_poses()
-        if all(served.points_back(names, poses[n]) for n in bad.tolist()):
+        if all(self._points_back(n) for n in bad):
             return "nx, ny, nz of a list of holes point out of the part, against the tool's z"
         return (
             "move or turn the part, move the tracker, or calibrate a larger volume or in another "
             "posture (robot.status)"
         )
 
-    def _why_not(self, hole: Holes) -> str:
-        """Why one hole is drilled from no station: out of reach, or not corrected there."""
-        cell, stations, served = self.cell, self.stations, self.served
-        names = [each.name for each in stations]
-        if served is not None and served.points_back(names, hole.reflector_poses()[0]):
-            return "its normal points into the part: turn it"
-        if served is not None and _in_range(cell, hole).all():
-            poses = hole.reflector_poses()[0]
-            rooms = {each.name: _room_rad(cell, _in_base(cell, each, poses)) for each in stations}
-            reached = [name for name, room in rooms.items() if (room >= 0.0).any()]
-            if reached:
-                return served.refusal(reached, poses)
-        return self._reason(hole)
+    def _points_back(self, n: int) -> bool:
+        names = [each.name for each in self._stations]
+        return self._served is not None and self._served.points_back(names, self._poses[n])
 
-    def _reason(self, hole: Holes) -> str:
-        """Why one hole is reached from no station, for the nearest one."""
-        cell, stations = self.cell, self.stations
-        range_mm, (low, high) = float(_range_mm(cell, hole)[0]), _range_limits_mm(cell)
-        if not low <= range_mm <= high:
-            return f"tracker range {range_mm:.0f} mm, expected {low:.0f} .. {high:.0f} mm"
-        robot, limits = cell.robot.nominal(), cell.robot.margin_limits_rad
-        seen = hole.reflector_poses()[0]
-        poses = np.stack([_in_base(cell, station, seen) for station in stations])
-        excess_mm = robot.excess_mm(poses)
+    def _why_not(self, n: int) -> str:
+        """Why one hole is drilled from no station: out of reach, or not corrected there."""
+        if self._points_back(n):
+            return "its normal points into the part: turn it"
+        if not self._in_range[n]:
+            return (
+                f"tracker range {self._range_mm[n]:.0f} mm, expected {self._low_mm:.0f} .. "
+                f"{self._high_mm:.0f} mm"
+            )
+        stations = self._stations
+        poses = np.stack([self._in_base(station, self._poses[n]) for station in stations])
+        room = self._room_rad(poses)
+        if self._served is not None and (room >= 0.0).any():
+            best_rad = zip(stations, room.max(axis=1).tolist(), strict=True)
+            names = [station.name for station, rad in best_rad if rad >= 0.0]
+            return self._served.refusal(names, self._poses[n])
+        excess_mm = self._robot.excess_mm(poses)
         if excess_mm.min() > 0:
             at = int(excess_mm.min(axis=1).argmin())
             return f"out of reach by {excess_mm.min():.1f} mm at {stations[at].name}"
-        room = _room_rad(cell, poses)
         best = int(room.argmax())
-        station = stations[best // room.shape[1]]
-        joints = robot.nearest(poses.reshape(-1, 4, 4)[best])
-        worst = int(np.minimum(joints - limits[0], limits[1] - joints).argmin())
-        low, high = np.degrees(limits[:, worst])
+        joints = self._robot.nearest(poses.reshape(-1, 4, 4)[best])
+        low_rad, high_rad = self._limits_rad
+        worst = int(np.minimum(joints - low_rad, high_rad - joints).argmin())
+        low, high = np.degrees(self._limits_rad[:, worst])
         return (
             f"joint limit: A{worst + 1} at {np.degrees(joints[worst]):.2f} deg, expected {low:.2f} "
-            f".. {high:.2f} deg, {np.degrees(-room.max()):.2f} deg beyond, at {station.name}"
+            f".. {high:.2f} deg, {np.degrees(-room.max()):.2f} deg beyond, at "
+            f"{stations[best // room.shape[1]].name}"
         )
 
 

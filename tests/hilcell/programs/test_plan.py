@@ -18,7 +18,7 @@ from hilcell.geometry.frames import inverse, pose_from_zyx
 from hilcell.geometry.inverse import NominalRobot
 from hilcell.ports import HilcellError
 from hilcell.programs.holes import NORMALS, Holes, tools_against
-from hilcell.programs.plan import along_rail, fewest, plan, ratio, reach
+from hilcell.programs.plan import Reach, along_rail, fewest, plan, ratio
 
 CELL = load_cell("paper")
 ARM = CELL.robot.arm()
@@ -103,7 +103,7 @@ def test_poses_are_within_limits_and_drill_against_the_normal(seed: int, count: 
 
 def test_the_turn_with_most_room_is_taken() -> None:
     holes = wall(3, 10, 800.0)
-    reached = reach(CELL, holes, CELL.station)
+    reached = Reach(CELL, holes, CELL.station)
     back = inverse(CELL.layout.nominal_base(CELL.station[1].rail_mm))
     for number in range(10):
         rooms = []
