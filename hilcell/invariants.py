@@ -20,7 +20,7 @@ from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import beam_noise, coverage_factor
 from hilcell.identity import Identity
 from hilcell.journal.journal import RESTORE_ADVICE, Record, StorageError
-from hilcell.journal.log import PROOFS, UNWATCHED_STATES, changed_asset_kinds
+from hilcell.journal.log import UNWATCHED_STATES, VERIFICATION_KINDS, changed_asset_kinds
 from hilcell.model import events
 from hilcell.model.frame import Frame
 from hilcell.model.plan import PlanRecord
@@ -31,6 +31,7 @@ from hilcell.model.verdicts import Verdict
 FUTURE_S = -0.001  # two readings of one clock
 NO_READING = SeenBefore(taken_s=math.nan, age_s=math.nan, still=False)  # admits nothing
 
+# The list; comments elsewhere cite its names.
 INVARIANTS = {
     "I1": "the slide gets power only with the robot at rest at its safe pose, by a young reading",
     "I2": "the robot moves only with the slide at rest, held, and the strip at the station",
@@ -62,11 +63,11 @@ class Violation(NamedTuple):
 
 @dataclass(slots=True)
 class InvariantResult:
-    """``unproven`` are records of which a device could not report its state."""
+    """``inconclusive`` are records of which a device could not report its state."""
 
     checked: int = 0
     broken: list[Violation] = field(default_factory=list)
-    unproven: list[Violation] = field(default_factory=list)
+    inconclusive: list[Violation] = field(default_factory=list)
 
     @property
     def holds(self) -> bool:
@@ -76,7 +77,7 @@ class InvariantResult:
         """Count one check; None is inconclusive."""
         self.checked += holds is not None
         if not holds:
-            (self.unproven if holds is None else self.broken).append(Violation(seq, what))
+            (self.inconclusive if holds is None else self.broken).append(Violation(seq, what))
 
 
 def check_invariants(records: Iterable[Record]) -> dict[str, InvariantResult]:
@@ -140,7 +141,7 @@ class CellFacts(msgspec.Struct, frozen=True):
 
 @dataclass(slots=True)
 class RecordedRun:
-    """``points`` are the valid ones, ``unproven`` those since the tracker's last verification."""
+    """``points`` are the valid ones, ``unverified`` those since the tracker's last verification."""
 
     seq: int = 0
     cell: CellFacts = field(default_factory=CellFacts)  # as it was frozen
@@ -158,7 +159,7 @@ class RecordedRun:
     set_up: int = 0
     framed: set[int] = field(default_factory=set)  # set-ups with a {W}
     control: dict[str, Point] = field(default_factory=dict)  # by nest, since the last verification
-    unproven: dict[str, int] = field(default_factory=dict)  # the session that added each
+    unverified: dict[str, int] = field(default_factory=dict)  # the session that added each
     verified: bool = False  # in this session, or {W} framed
     interrupted: bool = False  # the tracker may have been bumped since
     verdicts: dict[str, bool] = field(default_factory=dict)  # by key, whether they pass
@@ -192,7 +193,7 @@ class RecordedRun:
                 self._take_point(record.key, point)
             case Frame() if is_world(record.key):
                 self.framed.add(set_up_of(record.key))
-                self._prove()
+                self._verified()
             case Verdict(holds=holds):
                 self.verdicts[record.key] = holds
             case Ended() as end:
@@ -228,8 +229,8 @@ class RecordedRun:
         self.again.discard(key)
         if key.startswith("control/"):
             self.control[nest_of(key)] = point
-        elif not is_proof(key):
-            self.unproven[key] = self.session
+        elif not is_verification(key):
+            self.unverified[key] = self.session
 
     def _take_event(self, event: events.Event | events.OtherEvent) -> None:
         self.accepted |= isinstance(event, events.ChangesAccepted)
@@ -241,9 +242,9 @@ class RecordedRun:
             ):
                 self.again.add(event.key)
             case events.StreamRecorded():
-                self.unproven[event.key] = self.session
+                self.unverified[event.key] = self.session
             case events.TrackerVerified():
-                self._prove()
+                self._verified()
             case events.TrackerMoved():
                 self.set_up = event.set_up
                 self._drop(event.invalid)
@@ -259,12 +260,12 @@ class RecordedRun:
 
     def _drop(self, keys: list[str]) -> None:
         for key in keys:
-            self.unproven.pop(key, None)
+            self.unverified.pop(key, None)
             if key in self.points:
                 self.dropped[key] = self.points.pop(key)
 
-    def _prove(self) -> None:
-        self.unproven.clear()
+    def _verified(self) -> None:
+        self.unverified.clear()
         self.control.clear()
         self.interrupted, self.verified = False, True
 
@@ -283,9 +284,9 @@ def set_up_of(frame: str) -> int:
     return int(number) if number.isdecimal() else 0
 
 
-def is_proof(key: str) -> bool:
+def is_verification(key: str) -> bool:
     """Whether a point frames {W}, verifies the tracker, or is a mere check."""
-    return key.partition("/")[0] in (*PROOFS, *CHECKS)
+    return key.partition("/")[0] in (*VERIFICATION_KINDS, *CHECKS)
 
 
 def pose_key(key: str) -> str:
@@ -331,12 +332,12 @@ class Checker(RecordedRun):
             case events.StreamRecorded(key=key):
                 yield from self._followed(key)
             case events.StepBegun(name=name):
-                here = [key for key, session in self.unproven.items() if session == self.session]
+                here = [key for key, session in self.unverified.items() if session == self.session]
                 yield from self._closed(f"step {name}", here)
             case events.TrackerVerified():
-                yield from self._proof()
+                yield from self._verification()
             case events.TrackerMoved(invalid=invalid):
-                kept = sorted(self.unproven.keys() - set(invalid))
+                kept = sorted(self.unverified.keys() - set(invalid))
                 yield "I10", not kept, f"kept {', '.join(kept)} of a tracker that had moved"
             case events.Closed(took_s=took_s):
                 yield "I7", 0.0 <= took_s <= 15.0, f"the teardown took {took_s:.1f} s, at most 15 s"
@@ -415,11 +416,11 @@ class Checker(RecordedRun):
             yield from self._at_station(key, point)
         if readings is not None:
             yield from self._times(key, readings)
-        if self.session > 1 and self.framed and not is_proof(key):
+        if self.session > 1 and self.framed and not is_verification(key):
             yield "I9", self.verified, f"{key} added before the tracker was verified"
         what = f"{key} is of set-up {point.set_up}, the tracker at {self.set_up}"
         yield "I15", point.set_up == self.set_up, what
-        if not is_proof(key):
+        if not is_verification(key):
             yield from self._followed(key)
 
     def _carries(self, record: Record, point: Point) -> Iterator[Check]:
@@ -475,11 +476,11 @@ class Checker(RecordedRun):
             what = f"{key} added before the tracker was proven after a pause"
             yield "I16", not self.interrupted, what
 
-    def _closed(self, before: str, unproven: list[str]) -> Iterator[Check]:
+    def _closed(self, before: str, unverified: list[str]) -> Iterator[Check]:
         """Check that nothing is unverified before the next step, or before the end."""
         if self._mounted and self.framed:
-            what = f"{len(unproven)} points unproven before {before}: {', '.join(unproven[:3])}"
-            yield "I16", not unproven, what
+            what = f"{len(unverified)} points unproven before {before}: {', '.join(unverified[:3])}"
+            yield "I16", not unverified, what
 
     def _frame(self, key: str, frame: Frame) -> Iterator[Check]:
         if is_world(key):
@@ -508,7 +509,7 @@ class Checker(RecordedRun):
             what = f"{key}: {one} to {other} changed by {off_mm:.3f} mm, at most {limit_mm:.3f}"
             yield "I15", off_mm <= limit_mm, what
 
-    def _proof(self) -> Iterator[Check]:
+    def _verification(self) -> Iterator[Check]:
         """Check a verification by its points: no nest has moved since {W} was framed."""
         before, now = self._nests(self.set_up), self.control
         yield "I15", bool(before) and before.keys() == now.keys(), "nests missing"
@@ -567,7 +568,7 @@ class Checker(RecordedRun):
         if life.to == "faulted":
             yield self._first_reason(life.reason)
         if life.to == "finished":
-            yield from self._closed("the run's end", list(self.unproven))
+            yield from self._closed("the run's end", list(self.unverified))
 
     def _held(self, to: str) -> Iterator[Check]:
         """Check that slide and robot were left held; inconclusive if a device failed and the run

@@ -142,7 +142,7 @@ class Alarm:
     passes: bool = False  # a condition: a new alarm when raised again
     cause: Cause = "over"
     by: tuple[By, ...] = ()
-    goes_on: bool = False  # the last step continues the work
+    continues: bool = False  # the last step continues the work
     origin: int = 0
 
     @property

@@ -78,7 +78,7 @@ from hilcell.geometry.statistics import (
     trace_freedom,
 )
 from hilcell.journal.log import (
-    PROOFS,
+    VERIFICATION_KINDS,
     Log,
     commanded_rad,
     covariances_mm2,
@@ -103,7 +103,7 @@ from hilcell.ports import Array, HilcellError
 def tracker_drift(log: Log) -> Suspicion | None:
     """Slow motion of the tracker beyond the stated drift, if any."""
     nests = [nest.name for nest in log.cell.layout.floor]
-    points = [p for kind in PROOFS for p in log.measured(kind) if p.id.nest in nests]
+    points = [p for kind in VERIFICATION_KINDS for p in log.measured(kind) if p.id.nest in nests]
     least_readings = 4  # of each nest
     if len(points) < least_readings * len(nests):
         return None
@@ -483,7 +483,7 @@ def overtaken(log: Log, point: Point) -> bool:
     """
     if point.id.kind != CLOSING:
         return _first(log, point) > log.recorded(point)
-    return log.last_recorded(besides=(CLOSING, *PROOFS, *CHECKS)) > log.recorded(point)
+    return log.last_recorded(besides=(CLOSING, *VERIFICATION_KINDS, *CHECKS)) > log.recorded(point)
 
 
 def _first(log: Log, point: Point) -> int:

@@ -24,7 +24,7 @@ from hilcell.cell.layout import CERTIFIED_C, KnownLength
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import coverage_factor, rectangular_variance
 from hilcell.journal.log import (
-    PROOFS,
+    VERIFICATION_KINDS,
     Log,
     covariances_mm2,
     noise_at,
@@ -172,7 +172,7 @@ def axis_off(log: Log) -> Suspicion | None:
 
 def _front(log: Log, back: Point) -> Point | None:
     """The newest reading of a nest in the first face before the one in the second."""
-    fronts = (*PROOFS, "length")  # kinds of points
+    fronts = (*VERIFICATION_KINDS, "length")  # kinds of points
     points = (p for kind in fronts for p in log.measured(kind) if p.id.nest == back.id.nest)
     seen = log.recorded(back)
     before = [p for p in points if p.set_up == back.set_up and log.recorded(p) < seen]

@@ -52,9 +52,9 @@ def resume(args: Resume) -> int:
     plan = args.check(folder, read_log(folder), operator_present=operator)
     with ResumedEngine(args, plan, print_message) as engine:
         log, plan = engine.journal.log, engine.plan
-        if plan.goes_on and not operator:
+        if plan.continues and not operator:
             check_unasked(folder.name, log, plan.procedure, args.attendance)
-        elif plan.goes_on:
+        elif plan.continues:
             if not confirmed(folder.name, log, plan.procedure, plan.changes.inputs):
                 return EXIT_ABORTED
             engine.agree()

@@ -202,7 +202,7 @@ def _check(folder: Path, *, as_json: bool) -> int:
                 "holds": result.holds,
                 "checked": result.checked,
                 "broken": _listed(result.broken),
-                "unproven": _listed(result.unproven),
+                "unproven": _listed(result.inconclusive),
             }
             for name, result in results.items()
         }
@@ -217,7 +217,7 @@ def _check(folder: Path, *, as_json: bool) -> int:
         print_table(Table(columns, results.items()))
         most = 3  # violations of one invariant
         for name, result in results.items():
-            for word, breaks in (("broken", result.broken), ("not verified", result.unproven)):
+            for word, breaks in (("broken", result.broken), ("not verified", result.inconclusive)):
                 for each in breaks[:most]:
                     print_message(f"{name} {word} at record {each.seq}: {harmless(each.what)}")
                 if len(breaks) > most:

@@ -63,7 +63,7 @@ Args = TypeVarTuple("Args")
 
 # A moved tracker has a new set-up with a {W} of its own: ``world``, then ``world.1``, ``world.2``.
 
-PROOFS = ("world", "control")  # kinds of points
+VERIFICATION_KINDS = ("world", "control")  # points of these verify the tracker
 UNWATCHED_STATES = ("paused", "suspended", "checking")  # a bump may go unnoticed
 
 
@@ -84,51 +84,53 @@ def carried(xyz_mm: Three, std_mm: Three, T_first: Array, T_own: Array) -> tuple
 
 
 class SetUps:
-    """``number`` is the present set-up's, ``unproven`` are the keys of points and streams since the
+    """The tracker's set-ups and what its last verification covers, from a run's records.
+
+    ``number`` is the present set-up's, ``unverified`` are the keys of points and streams since the
     last verification of the tracker, ``interrupted``: the run has waited since. ``refuted`` are
     the keys of control points that showed a moved tracker.
     """
 
     def __init__(self) -> None:
         self.number = 0
-        self.unproven: dict[str, None] = {}
+        self.unverified: dict[str, None] = {}
         self.interrupted = False
         self.refuted: set[str] = set()
-        self._proofs: list[str] = []  # control points of the verification in progress
+        self._control: list[str] = []  # control points of the verification in progress
 
     @property
-    def open(self) -> bool:
+    def needs_verification(self) -> bool:
         """Whether points wait for a verification; points of mere checks do not."""
-        return any(key.partition("/")[0] not in CHECKS for key in self.unproven)
+        return any(key.partition("/")[0] not in CHECKS for key in self.unverified)
 
     def take(self, record: Record) -> list[str]:
         """Apply one record; return the keys that it invalidates."""
         match record.fact:
             case Point(id=PointId(kind=kind), key=key):
-                if kind not in PROOFS:
-                    self.unproven[key] = None
+                if kind not in VERIFICATION_KINDS:
+                    self.unverified[key] = None
                 elif kind == "control":
-                    self._proofs.append(key)
+                    self._control.append(key)
             case Frame() if record.key == world_key(self.number):
-                self._prove()
+                self._verified()
             case StateChanged(machine="run", to=to):
                 self.interrupted |= to in UNWATCHED_STATES
             case events.StreamRecorded(key=key):
-                self.unproven[key] = None
+                self.unverified[key] = None
             case events.TrackerMoved(set_up=number, invalid=invalid):
                 self.number = number
-                self.refuted.update(self._proofs)
-                self._proofs.clear()
+                self.refuted.update(self._control)
+                self._control.clear()
                 return invalid
             case events.WorldRemeasured(invalid=invalid):
                 return invalid
             case events.TrackerVerified():
-                self._prove()
+                self._verified()
         return []
 
-    def _prove(self) -> None:
-        self.unproven.clear()
-        self._proofs.clear()
+    def _verified(self) -> None:
+        self.unverified.clear()
+        self._control.clear()
         self.interrupted = False
 
 

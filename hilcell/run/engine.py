@@ -102,8 +102,8 @@ class Engine:
     def _begin(self) -> None:
         raise NotImplementedError
 
-    def _place(self) -> FolderOrder:
-        """Return the order of a new session; warn where the clock ran back."""
+    def _next_order(self) -> FolderOrder:
+        """Return a new session's number in the folder of runs; warn of a clock that ran back."""
         rows = read_index(self.plan.folder.resolve().parent)
         for note in clock_notes(rows, datetime.now(UTC)):
             self._say(f"warning: {note}")
@@ -226,7 +226,7 @@ class NewEngine(Engine):
         self._before = {
             "driven_by": finished_runs(runs, cell),
             "floor_before": floor_before(runs, cell, self.plan.machine_seed),
-            "order": self._place(),
+            "order": self._next_order(),
         }
         make_folder(folder)
 
@@ -282,7 +282,7 @@ class ResumedEngine(Engine):
         )
         runs, origin = folder.resolve().parent, row_of(folder).origin
         same = sorted(row.name for row in read_index(runs) if row.origin == origin)
-        if self.plan.goes_on and len(same) > 1:
+        if self.plan.continues and len(same) > 1:
             self._say(
                 f"warning: {' and '.join(map(encodable, same))} in {runs} are one run; "
                 f"only {encodable(folder.name)} continues, and the other becomes an older copy: "
@@ -299,8 +299,8 @@ class ResumedEngine(Engine):
         self.plan = replace(self.plan, changes=Changes(accepted=changes.accepted))
 
     def _begin(self) -> None:
-        if self.plan.goes_on:
-            place = msgspec.structs.asdict(self._place())
+        if self.plan.continues:
+            place = msgspec.structs.asdict(self._next_order())
             self.journal.append("event", "", SessionOrdered(**place))
         for key in self.plan.retakes:
             self.journal.append("event", "", RemeasureRequested(key=key))

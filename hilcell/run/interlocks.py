@@ -2,7 +2,8 @@
 
 The readings are recent and are journalled with the motion that they admit. Each check raises
 `Blocked` with the reason; NaN never passes. hilcell is not a safety function: these interlocks
-protect the measurement and the machine, not people.
+protect the measurement and the machine, not people. I1 and I2 are in the list of
+`hilcell.invariants`.
 """
 
 from __future__ import annotations

@@ -20,7 +20,9 @@ from hilcell.run.prompts import FLANGE, Verification, beam_prompt, placement_pro
 
 
 class Meter(Mover):
-    """Measures at the present pose. ``last`` is the newest point of this session."""
+    """Measures at the present pose and journals the point; prompts where the tracker sees nothing
+    or the reflector is carried by hand. ``last`` is the newest point of this session.
+    """
 
     TRIES = 3  # of a measurement before the operator is prompted
 

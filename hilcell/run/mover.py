@@ -196,10 +196,11 @@ class RobotMotion:
 
 
 class Mover(RunContext):
-    """Moves slide or robot, one at a time.
+    """Moves slide or robot, one at a time, each by readings that the interlocks admit.
 
-    ``held`` is the station at which the slide is held, ``began`` the rail's reading by which the
-    robot's last motion began.
+    The slide moves while the robot is parked (`_prepare_rail`), the robot while the slide is held
+    (`admitted`). ``held`` is the station at which the slide is held, None for none; ``began`` the
+    rail's reading by which the robot's last motion began.
     """
 
     JOINT_POLL_S = 0.25  # between two polls of the joints; a motion has hundreds

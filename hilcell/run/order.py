@@ -159,9 +159,9 @@ class Resume(Signature):
         retakes = [key for key in self.retake if key not in log.retakes]
         if refusals := [why for key in retakes if (why := retake_refusal(log, key))]:
             raise HilcellError("\n".join(refusals))
-        goes_on = bool(retakes or log.retakes) or log.state != "finished"
+        continues = bool(retakes or log.retakes) or log.state != "finished"
         written = not log.calibrates or (folder / CALIBRATION).is_file()
-        if not goes_on and log.end is not None and written:
+        if not continues and log.end is not None and written:
             raise HilcellError(
                 f"run {folder.name} is finished; start a new one with `hilcell run`", code="HC-J09"
             )
@@ -169,7 +169,7 @@ class Resume(Signature):
         procedure: Procedure = load_entry("procedures", log.inputs.procedure)
         check_attended(log.cell, procedure, unattended=attendance.unattended)
         changes = NONE
-        if goes_on:
+        if continues:
             try:
                 check_options(log.cell)
             except SettingsError as error:
@@ -189,7 +189,7 @@ class Resume(Signature):
             procedure=procedure,
             points=log.inputs.points,
             changes=changes,
-            goes_on=goes_on,
+            continues=continues,
             retakes=retakes,
             operator_present=operator_present,
         )

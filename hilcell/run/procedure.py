@@ -85,9 +85,11 @@ class Procedure:
     """Steps in sequence, registered as an entry point of the group ``hilcell.procedures``.
 
     ``table`` shows the result and ``words`` summarize it in a sentence ("" for none); both decode
-    what they need of it, which may be plain JSON. ``uses`` is the cell's table that names the
-    calibration to start from, "" for none; ``may_use`` the one that names an optional calibration.
-    ``of_rail``: it measures a rail, or an effect of one. ``by_hand``: manual work, "" for none.
+    what they need of it, which may be plain JSON.
+    ``uses``: the table of the cell file whose ``calibration`` the procedure starts from, such as
+    "recheck"; "" for none. ``may_use``: the same, where the calibration may be left out.
+    ``of_rail``: needs a cell with a rail. ``by_hand``: work of an operator during the run, such as
+    "carry each reflector", so that it never runs unattended; "" for none.
     ``figures``: ``module:class`` of the figures that only its own report has.
     """
 

@@ -72,12 +72,13 @@ class NewRun(RunPlan):
 
 @dataclass(frozen=True, kw_only=True)
 class ResumedRun(RunPlan):
-    """A run that ``goes_on``, or one that is measured and only writes its calibration.
+    """A run that ``continues``: points are missing or re-measured; otherwise it only writes its
+    calibration file.
 
     ``retakes`` are the newly requested points; ``operator_present``: can be prompted.
     """
 
-    goes_on: bool
+    continues: bool
     retakes: Sequence[str]
     operator_present: bool
 

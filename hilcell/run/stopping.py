@@ -30,7 +30,7 @@ class SafeStop:
     def trigger(self) -> None:
         """Send the stop frames; a device that hangs blocks this thread only."""
         self._go.set()
-        self._calls.help()
+        self._calls.run_waiting()
 
     def wait(self) -> dict[str, Exception]:
         """Stop, wait until all frames are sent, and return the problems by device."""
@@ -66,7 +66,10 @@ def not_at_rest(problems: Mapping[str, Exception]) -> DeviceError | None:
 
 
 class ParallelCalls:
-    """Calls that run once each, all at the same time, when ``go`` is set."""
+    """Calls that run once each, all at the same time, when ``go`` is set, or at once without one.
+
+    A thread waits for each call, and any other thread may run those not begun yet.
+    """
 
     def __init__(
         self, calls: Mapping[str, Callable[[], None]], go: threading.Event | None = None
@@ -78,8 +81,8 @@ class ParallelCalls:
         for name in calls:
             threading.Thread(target=self._work, name=f"call {name}", daemon=True).start()
 
-    def help(self) -> None:
-        """Run the calls that no thread has begun."""
+    def run_waiting(self) -> None:
+        """Run, in this thread, the calls that no thread has begun; each is begun once."""
         while self._waiting:
             try:
                 name, call = self._waiting.popleft()
@@ -107,4 +110,4 @@ class ParallelCalls:
     def _work(self) -> None:
         if self._go is not None:
             self._go.wait()
-        self.help()
+        self.run_waiting()

@@ -31,7 +31,7 @@ from hilcell.calibration.frames import world_from_tracker
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import BeamNoise, coverage_factor, lengths_mm
-from hilcell.journal.log import PROOFS, noise_at, positions_mm, run_noise, world_key
+from hilcell.journal.log import VERIFICATION_KINDS, noise_at, positions_mm, run_noise, world_key
 from hilcell.model.events import (
     AmbientInLimits,
     RemeasureRequested,
@@ -81,11 +81,14 @@ class WrongDistance(NamedTuple):
 
 
 class Watch(Meter):
-    """Verifies tracker, hold and temperature; re-measures after each prompt to the operator."""
+    """Verifies between measurements what they rest on: the tracker by the floor nests, the slide's
+    hold by a slide nest, the ambient temperature by the newest point. After a prompt it measures
+    again only once the tracker is verified.
+    """
 
     MOST_SET_UPS = 5  # of one run
 
-    _proven: tuple[str, int] | None = None  # station and visit
+    _hold_verified: tuple[str, int] | None = None  # station and visit
     _temperature_judged: Point | None = None
     _temperature_good_since_s: float | None = None  # since which, cell time
 
@@ -169,7 +172,7 @@ class Watch(Meter):
         With a reflector that is carried by hand only if ``carried``.
         """
         by_hand = self.cell.layout.by_hand
-        if self.log.set_ups.open and self._framed and (carried or not by_hand):
+        if self.log.set_ups.needs_verification and self._framed and (carried or not by_hand):
             self.verify_tracker()
 
     def verify_tracker_if_due(self) -> None:
@@ -178,7 +181,7 @@ class Watch(Meter):
         Not with a reflector that is carried by hand: each of its moves is a pause.
         """
         cell, set_ups = self.cell, self.log.set_ups
-        due = set_ups.interrupted or len(set_ups.unproven) >= cell.plan.prove_every
+        due = set_ups.interrupted or len(set_ups.unverified) >= cell.plan.prove_every
         if due and not cell.layout.by_hand and self._framed:
             self.verify_tracker()
 
@@ -192,7 +195,7 @@ class Watch(Meter):
 
     def _controls(self) -> list[Point]:
         log, names = self.log, [nest.name for nest in self.cell.layout.floor]
-        kinds = (*PROOFS, LENGTH)
+        kinds = (*VERIFICATION_KINDS, LENGTH)
         before = Counter(point.id.nest for kind in kinds for point in log.measured(kind))
         return self._measured(
             [PointId("control", session=log.session, pass_number=before[n], nest=n) for n in names]
@@ -211,7 +214,7 @@ class Watch(Meter):
         moved_mm = float(motions_mm(before, now).max())
         limit_mm = float(self._limits_mm(before, now).min())
         self._check_renewable(moved_mm, limit_mm)
-        number, invalid = set_ups.number + 1, list(set_ups.unproven)
+        number, invalid = set_ups.number + 1, list(set_ups.unverified)
         moved = TrackerMoved(set_up=number, invalid=invalid, moved_mm=moved_mm, limit_mm=limit_mm)
         self.add(moved)
         self.frame_world()
@@ -296,7 +299,7 @@ class Watch(Meter):
     def _check_renewable(self, moved_mm: float, limit_mm: float) -> None:
         """Refuse to continue where frames use invalid points, or after too many set-ups."""
         log = self.log
-        invalid = [log.points[key] for key in log.set_ups.unproven if key in log.points]
+        invalid = [log.points[key] for key in log.set_ups.unverified if key in log.points]
         built = next((key for point in invalid if (key := self._rests_on(point))), "")
         if not built and log.set_ups.number < self.MOST_SET_UPS:
             return
@@ -337,10 +340,10 @@ class Watch(Meter):
         super().hold_station(station, again=again)
         if again or not (self._framed and self.cell.has_rail) or self.cell.layout.by_hand:
             return
-        if self._proven == (station.name, self.log.visit):
+        if self._hold_verified == (station.name, self.log.visit):
             return
         self.parked()  # the arm may block the beam to the slide
-        off = self._prove_hold(station)
+        off = self._verify_hold(station)
         if not off.holds:
             self.verify_tracker()
             self.pause(
@@ -349,7 +352,7 @@ class Watch(Meter):
                 "a slide nest has moved"
             )
             super().hold_station(station, again=True)
-            off = self._prove_hold(station)
+            off = self._verify_hold(station)
         if not off.holds:
             jump = Suspicion(Cause.STRIP, off.off_mm, "mm", f"slide nest at {station.name}").facts
             raise DeviceError(
@@ -362,9 +365,9 @@ class Watch(Meter):
                 fields=jump
                 | {"station": station.name, "off_mm": off.off_mm, "limit_mm": off.limit_mm},
             )
-        self._proven = (station.name, self.log.visit)
+        self._hold_verified = (station.name, self.log.visit)
 
-    def _prove_hold(self, station: Station) -> SlideOffset:
+    def _verify_hold(self, station: Station) -> SlideOffset:
         """Measure the nest; journal the hold as verified if it is within the limit."""
         self.verify_tracker_if_due()
         nest = self.cell.layout.slide[0]

@@ -131,7 +131,7 @@ class AlarmContext:
         rows: list[Sequence[Cell]] = []
         for index, (step, by) in enumerate(zip(alarm.do, alarm.by, strict=True)):
             words = Content.styled(step, "bold" if index == present else "$label")
-            if alarm.goes_on and index == len(alarm.do) - 1:
+            if alarm.continues and index == len(alarm.do) - 1:
                 words = self._go_on(alarm)
             mark = (glyphs.done, "bold $passed") if _step_done(latched, index) else (" ", "")
             mark = (glyphs.moving, "bold $ask") if index == present else mark
@@ -221,7 +221,7 @@ def present_step(latched: Latched) -> int:
 def _step_done(latched: Latched, index: int) -> bool:
     """Whether a step is known to be done; an acknowledgement says nothing of a person's steps."""
     alarm = latched.alarm
-    if alarm.goes_on and index == len(alarm.do) - 1:
+    if alarm.continues and index == len(alarm.do) - 1:
         return False
     return bool(latched.gone) and alarm.by[index] == "controller"
 

@@ -132,7 +132,7 @@ def test_a_fault_has_its_code_place_and_next_step() -> None:
     (alarm,) = alarms(*BEGUN, CLOSED, faulted(STALLED), ended(STALLED))
     assert (alarm.code, alarm.severity) == ("HC-R31", "fault")
     assert (alarm.t, alarm.seq) == ("2026-11-21T12:00:06Z", 6)
-    assert (alarm.cause, alarm.by, alarm.goes_on) == ("not watched", ("you",) * 3, True)
+    assert (alarm.cause, alarm.by, alarm.continues) == ("not watched", ("you",) * 3, True)
     assert "480.000 mm" in alarm.found
     assert RUN in alarm.do[-1]
 
@@ -171,14 +171,14 @@ def test_a_reading_that_came_at_the_second_try_is_a_notice() -> None:
     (alarm,) = alarms(*BEGUN, NO_READING, point("grid/1"), live=True)
     assert (alarm.code, alarm.severity) == ("HC-T10", "notice")
     assert alarm.where == "Tracker: measure grid/1"
-    assert not alarm.goes_on
+    assert not alarm.continues
 
 
 def test_a_run_that_asks_for_it_is_a_warning_while_it_asks() -> None:
     asking = (*BEGUN, NO_READING, asks("grid/1", BEAM))
     *_, alarm = alarms(*asking, live=True)
     assert (alarm.code, alarm.severity) == ("HC-T10", "warning")
-    assert alarm.goes_on
+    assert alarm.continues
     assert [a.severity for a in alarms(*asking, state("running"), live=True)] == ["notice"]
 
 

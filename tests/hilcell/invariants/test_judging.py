@@ -176,7 +176,7 @@ def test_a_device_that_cannot_tell_is_not_proven() -> None:
     journal = Doctored().change("closed", problems={"Rail": "no answer within 10 s"})
     verdict = check_invariants(journal.records())["I12"]
     assert verdict.holds
-    assert len(verdict.unproven) == 1
+    assert len(verdict.inconclusive) == 1
     assert verdict.checked == 3  # the robot, and both where the run has finished
 
 

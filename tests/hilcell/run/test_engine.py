@@ -77,7 +77,7 @@ def test_what_somebody_does_by_hand_is_never_left_alone(
     with NewEngine(attended, attended.check(print), print) as engine:
         engine.run(Heard())
     folder, again = tmp_path / "R", Resume(run="R", runs=tmp_path)
-    assert again.check(folder, read_log(folder), operator_present=True).goes_on
+    assert again.check(folder, read_log(folder), operator_present=True).continues
     with pytest.raises(HilcellError) as refused:
         again.replace(attendance=ALONE).check(folder, read_log(folder), operator_present=False)
     assert (refused.value.code, str(refused.value)) == ("HC-C16", words)
@@ -139,7 +139,7 @@ def test_a_resumed_run_journals_the_agreement_and_its_order(
     monkeypatch.setattr("hilcell.run.run_plan.__version__", "0.0")
     folder, again = tmp_path / "R", Resume(run="R", runs=tmp_path)
     plan = again.check(folder, read_log(folder), operator_present=True)
-    assert (plan.goes_on, len(plan.changes.inputs)) == (True, 1)
+    assert (plan.continues, len(plan.changes.inputs)) == (True, 1)
     with ResumedEngine(again, plan, print) as resumed:
         resumed.agree()
         assert resumed.plan.changes.inputs == ()

@@ -19,7 +19,7 @@ def test_all_are_done_once_by_whoever_comes_first() -> None:
     acts = ParallelCalls({name: partial(done.append, name) for name in "abcdef"}, go)
     assert done == []
     go.set()
-    helpers = [threading.Thread(target=acts.help) for _ in range(4)]
+    helpers = [threading.Thread(target=acts.run_waiting) for _ in range(4)]
     for helper in helpers:
         helper.start()
     for helper in helpers:

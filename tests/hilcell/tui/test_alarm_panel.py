@@ -32,14 +32,14 @@ STOP = Alarm(
     "HC-B10", "fault", "Robot emergency stop", "Robot: move", "$ALARM_STOP is FALSE, expected TRUE",
     "An emergency stop of the robot is pressed.",
     ("Find out why it was pressed.", "Release it at the panel.", "Continue: space."), T, 7,
-    cause="watched", by=("you", "controller", "you"), goes_on=True,
+    cause="watched", by=("you", "controller", "you"), continues=True,
 )  # fmt: skip
 THERE = Latched(STOP, "fault", 1)
 GONE = replace(THERE, gone="2026-03-04T08:02:31.000+00:00")
 UNWATCHED = replace(THERE, alarm=replace(STOP, cause="not watched"))
 NOTICE = Latched(
     replace(STOP, code="HC-V05", title="Point measured again", severity="notice", cause="over",
-            do=("PlotStyle at the beam's way.",), by=("you",), goes_on=False), "notice", 1,
+            do=("PlotStyle at the beam's way.",), by=("you",), continues=False), "notice", 1,
 )  # fmt: skip
 
 
