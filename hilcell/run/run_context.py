@@ -23,7 +23,7 @@ Ask = Callable[[Prompt, Callable[[], Verification], NoReading | None], Verificat
 
 
 class RunContext:
-    """What all layers of a run share; writes the journal. Used by the worker thread alone.
+    """The state that all layers of a run share. Used by the worker thread alone.
 
     ``checkpoint`` pauses the run if requested, ``pause`` pauses an attended run, ``ask`` suspends
     it until the operator's answer, or that the cause is gone, is verified.
