@@ -26,8 +26,7 @@ from fakes.simulator import PaperCell
 from hilcell.calibration.diagnosis import CLOSING
 from hilcell.cell.file import Cell, load_cell
 from hilcell.ports import HilcellError
-from tests.whole.bench import SMALL, Simulation, command, events, sets
-from tests.whole.trace import judge
+from tests.whole.bench import SMALL, Simulation, events, judge, performed, sets
 
 COUNT = 300
 CELL = SMALL | {"layout.nest_samples": "10"}  # as many as a real cell takes of a nest
@@ -196,7 +195,7 @@ def calibrated(seed: int, disturbance: Disturbance | None = None, after: str = "
         words = ("--unattended", "--name", "run", "--seed", str(seed), "--runs", runs, "--json")
         try:
             settings = sets(CELL | {"simulation.address": simulated.address})
-            done = command("run", *words, *settings, hear=hear)
+            done = performed("run", *words, *settings, hear=hear)
         finally:
             simulated.close()
         printed = events(done.stdout)

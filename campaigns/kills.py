@@ -20,8 +20,7 @@ from typing import Any
 from campaigns.spread import print_table, progress, spread
 from fakes.simulator import PaperCell
 from hilcell.cell.file import load_cell
-from tests.whole.bench import SMALL, Engine, command, events, sets
-from tests.whole.trace import judge
+from tests.whole.bench import SMALL, Engine, command, events, judge, sets
 
 COUNT = 50
 KILLS = 10

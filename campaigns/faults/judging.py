@@ -16,7 +16,7 @@ from campaigns.faults.phases import Phase
 from campaigns.faults.script import Case, Ran
 from campaigns.faults.table import Fault
 from hilcell.ports import Array
-from tests.whole.trace import judge as broken_invariants
+from tests.whole.bench import judge as broken_invariants
 
 LETTERS = {0: "-", 1: "N", 2: "X", 3: "S", 4: "A", 7: "J", -9: "K"}
 WORDS = {

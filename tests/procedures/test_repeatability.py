@@ -12,8 +12,8 @@ from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
 from hilcell.model.point import Point, PointId
 from procedures.repeatability import floor, rp_mm, rp_robot_mm, visits_of
+from tests.whole.bench import record_of
 from tests.whole.golden import GoldenRuns
-from tests.whole.trace import record_of
 
 PLACES = 3
 TRACKER_MM = (0.0075, 0.0105, 0.0105)

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -29,6 +29,10 @@ from fakes.simulator import PaperCell
 from hilcell.cell.devices import start_simulation
 from hilcell.cell.file import Cell, load_cell
 from hilcell.commands.cli import main
+from hilcell.invariants import check_invariants
+from hilcell.journal.journal import Record
+from hilcell.journal.log import Log
+from hilcell.journal.runs import JOURNAL, read_log
 from hilcell.ports import SimulatedCell
 from tests.whole.outputs import Outputs
 
@@ -57,6 +61,39 @@ SEATS = {
     "plan.grid_orientations": "[[20.0, 65.0, 0.0]]",
     "validation.max_tolerance_deg": "0.1",
 }
+
+# A total station in the place of the laser tracker: what a cell file says of it.
+TOTAL_STATION = {
+    "tracker.driver": "leica-geocom",
+    "tracker.max_std_mm": "3.0",
+    "tracker.samples": "4",
+    "base_frame.points": "24",
+    "tracker.options.temperature_c": "23.0",
+    "tracker.options.pressure_mbar": "1009.0",
+    "uncertainty.tracker_limit_mm": "0.3",
+    "uncertainty.tracker_limit_um_m": "2.0",
+    "layout.max_tool_std_mm": "1.0",
+    "validation.mean_tolerance_mm": "2.0",
+    "validation.max_tolerance_mm": "4.0",
+}
+
+
+def judge(events: Iterable[dict[str, Any]]) -> list[str]:
+    """Return the invariants that the events of a journal break, one line each."""
+    verdicts = check_invariants(map(record_of, events))
+    return [
+        f"{name} at record {each.seq}: {each.what}"
+        for name, verdict in verdicts.items()
+        for each in verdict.broken
+    ]
+
+
+def record_of(event: dict[str, Any]) -> Record:
+    """Return the record that an event was printed from."""
+    head = ("run", "seq", "t", "kind")  # the rest is the record's body, and its key
+    body = {name: value for name, value in event.items() if name not in head}
+    key = "" if event["kind"] == "event" else body.pop("key", "")  # an event's is in its body
+    return Record(event["seq"], event["t"], event["kind"], key, body)
 
 
 def sets(values: Mapping[str, str]) -> list[str]:
@@ -94,8 +131,19 @@ def command(
 ) -> subprocess.CompletedProcess[str]:
     """Do the same in this process: quicker, where nothing depends on a process of its own.
 
-    With ``hear`` each event of a run with --json is heard while the run stands still.
+    With ``hear`` each event of a run with --json is heard while the run stands still. A run that
+    breaks an invariant fails the test.
     """
+    done = performed(*words, hear=hear)
+    if words[:1] == ("run",) and "--json" in words and "--dry-run" not in words:
+        assert broken(done.stdout) == []
+    return done
+
+
+def performed(
+    *words: str | Path, hear: Callable[[dict[str, Any]], object] | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Do a command, and judge nothing."""
     heard = BytesIO() if hear is None else _Heard(hear)
     out, err = (TextIOWrapper(to, "utf-8", write_through=True) for to in (heard, BytesIO()))
     with OUTPUTS.to(out, err):
@@ -121,6 +169,11 @@ class Ran:
     @cached_property
     def events(self) -> list[dict[str, Any]]:
         return events(self.done.stdout)
+
+    @cached_property
+    def log(self) -> Log:
+        """Return its journal, read again; tests copy what they change."""
+        return read_log(self.folder)
 
     @property
     def end(self) -> dict[str, Any]:
@@ -174,6 +227,19 @@ def shop_values(rail: str, robot: object, tracker: object) -> dict[str, str]:
 
 def events(text: str) -> list[dict[str, Any]]:
     return [json.loads(line) for line in text.splitlines()]
+
+
+def broken(printed: str) -> list[str]:
+    """Return the invariants that a whole journal breaks, as --json prints it; [] for a part."""
+    found = events(printed) if '"seq":1,' in printed.partition("\n")[0] else []
+    return judge(found)
+
+
+def journal(runs: Path, name: str) -> list[dict[str, Any]]:
+    """Return the events of a run's whole journal, which breaks no invariant."""
+    found = events(command("watch", name, "--runs", runs, "--json").stdout)
+    assert judge(found) == []
+    return found
 
 
 def end_of(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
@@ -351,8 +417,8 @@ def children(pid: int) -> list[int]:
 def cut(whole: Path, folder: Path, seq: int) -> None:
     """Copy a run's journal as it was when record ``seq`` had just become durable."""
     folder.mkdir()
-    source = sqlite3.connect(whole / "journal.sqlite")
-    copy = sqlite3.connect(folder / "journal.sqlite")
+    source = sqlite3.connect(whole / JOURNAL)
+    copy = sqlite3.connect(folder / JOURNAL)
     source.backup(copy)
     source.close()
     copy.executescript("DROP TRIGGER IF EXISTS record_is_never_deleted")

@@ -1,46 +1,18 @@
-"""One run of the whole paper, which every test of it shares."""
+"""One run of the whole paper, which every test of it shares, and simulated cells."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-from typing import Any
 
 import pytest
 
 from drivers.canopen.motion_guard import SpeedGuard
-from hilcell.journal.log import Log
-from hilcell.report.facts import read_facts
 from tests.whole.bench import OwnCell, sweep
-from tests.whole.golden import GoldenRuns
-
-
-@dataclass(frozen=True)
-class PaperRun:
-    """A finished run: its printed lines, and its journal as read again.
-
-    Tests copy what they change.
-    """
-
-    events: list[dict[str, Any]]
-    errors: str
-    log: Log
-
-    @property
-    def end(self) -> dict[str, Any]:
-        return self.events[-1]
-
-    @property
-    def result(self) -> dict[str, Any]:
-        result: dict[str, Any] = self.end["result"]
-        return result
+from tests.whole.golden import GoldenRun, GoldenRuns
 
 
 @pytest.fixture(scope="session", params=["paper", *sweep("paper-whole")])
-def paper(request: pytest.FixtureRequest, golden: GoldenRuns) -> PaperRun:
+def paper(request: pytest.FixtureRequest, golden: GoldenRuns) -> GoldenRun:
     """Return the run of seed 2, by day with fewer targets."""
-    made = golden[request.param]
-    assert made.events, made.done.stderr
-    return PaperRun(made.events, made.done.stderr, read_facts(made.folder).log)
+    return golden[request.param]
 
 
 @pytest.fixture

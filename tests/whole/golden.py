@@ -25,11 +25,17 @@ FEWER = {
     "layout.nest_samples": "2",
     "sweeps.axes": "[1, 2]",
 }
+POSES = SMALL | {
+    "base_frame.points": "5",
+    "iso9283.cycles": "4",
+    "iso9283.ap_limit_mm": "3",
+}
 RUNS: dict[str, tuple[str, ...]] = {
     "small": ("calibrate", "--seed", "1", "--operator", "B. Operator", *sets(SMALL)),
     "small-2": ("calibrate", "--seed", "2", *sets(SMALL)),
     "sign-check": ("sign-check", "--unattended", *sets(SMALL)),
     "seats": ("calibrate", "--cell", "fixed", "--seed", "1", "--unattended", *sets(SMALL | SEATS)),
+    "pose-test": ("iso9283", "--cell", "fixed", "--unattended", *sets(POSES)),
     "calibration": ("calibrate", "--seed", "3"),
     "paper": ("paper", *PAPER, *sets(FEWER)),
     "paper-whole": ("paper", *PAPER),

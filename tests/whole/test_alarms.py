@@ -14,9 +14,7 @@ from drivers.kuka import robot_eki
 from drivers.leica.tracker_emscon import LeicaEmsconTracker
 from fakes.faults import KNOWN
 from hilcell.alarms import Alarm, alarms_of, catalogue
-from hilcell.journal.runs import read_log
-from tests.whole.bench import ran, simulation
-from tests.whole.stations import TOTAL_STATION
+from tests.whole.bench import TOTAL_STATION, ran, simulation
 
 pytestmark = pytest.mark.waits
 
@@ -192,7 +190,7 @@ def struck(runs: Path, cell: str, faults: Mapping[str, tuple[int, object]]) -> l
         for name, (count, value) in faults.items():
             simulated.strike(name, value, count=count)
         run = ran(runs, "base-frame", values | {"simulation.address": simulated.control})
-    return alarms_of(read_log(run.folder), "x", live=False)
+    return alarms_of(run.log, "x", live=False)
 
 
 @pytest.mark.parametrize(("cell", "fault", "value", "codes"), cases())

@@ -14,7 +14,6 @@ from tests.hilcell.commands.workplace import read_corrected
 from tests.hilcell.lists import write_targets
 from tests.whole.bench import SMALL, command, corrected, ran
 from tests.whole.golden import GoldenRuns
-from tests.whole.trace import judge
 
 SRC = "DEF HOLES( )\r\nPTP HOME\r\nLIN XP1\r\n"
 SRC += "LIN {X 150.0,Y 100.0,Z 1100.0,A 0.0,B 75.0,C 0.0}\r\nEND"
@@ -123,7 +122,6 @@ def test_a_program_is_corrected_for_the_visit(golden: GoldenRuns, tmp_path: Path
     values = SMALL | {"touch.calibration": str(small), "touch.station": "S300"}
     run = ran(runs, "touch", values, "--seed", "1", name="T")
     assert run.done.returncode == 0, run.done.stderr
-    assert judge(run.events) == []
     touch = run.result["touch"]["S300"]
     assert touch["poses"] == 8
     assert np.linalg.norm(touch["shift_mm"]) < 4 * touch["u_before_mm"] < 0.5

@@ -9,10 +9,8 @@ import pytest
 
 from hilcell.calibration.file import read_calibration
 from hilcell.geometry.frames import pose_from_zyx, to_rotvec
-from hilcell.journal.runs import read_log
 from hilcell.programs.holes import NORMALS
-from tests.whole.bench import SMALL, command, corrected, ran, sets
-from tests.whole.trace import judge
+from tests.whole.bench import command, corrected, ran, sets
 
 QUICK = {
     "plan.quick": "true",
@@ -87,20 +85,6 @@ def check_programs(runs: Path) -> None:
 
 
 # -- without a rail ---------------------------------------------------------------------------
-
-
-def test_the_grid_is_measured_without_a_rail(tmp_path: Path) -> None:
-    short = SMALL | {"grid.pitch_mm": "900.0", "base_frame.points": "4"}
-    run = ran(tmp_path, "robot-grid", short, *FIXED)
-    assert run.end["state"] == "finished", run.done.stderr
-    assert judge(run.events) == []
-    log = read_log(run.folder)
-    assert {each.kind for each in log.assets} == {"robot", "tracker"}
-    assert len(log.select("grid")) == 8
-    assert not [event for event in log.events if event.body["what"] == "station held"]
-    report = tmp_path / "report.html"
-    assert command("report", "x", "--runs", tmp_path, "-o", report).returncode == 0
-    assert "on the floor, without a rail" in report.read_text("utf-8")
 
 
 def test_a_procedure_of_a_rail_is_refused(tmp_path: Path) -> None:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -20,46 +18,18 @@ from hilcell.report.facts import read_facts
 from hilcell.report.first_page import Certificate, FirstPage
 from procedures.iso9283 import PoseCycle
 from tests.hilcell.report.test_every_procedure import assert_references_resolve
-from tests.whole.bench import (
-    SEATS,
-    SMALL,
-    Ran,
-    Simulation,
-    command,
-    cut,
-    end_of,
-    events,
-    ran,
-    simulation,
-)
-from tests.whole.trace import judge
+from tests.whole.bench import SEATS, command, cut, end_of, events, ran, simulation
+from tests.whole.golden import POSES, GoldenRun, GoldenRuns
 
 pytestmark = pytest.mark.waits
-CYCLES = 4
-SHORT = SMALL | {"base_frame.points": "5", "iso9283.cycles": str(CYCLES)}
-Hear = Callable[[dict[str, Any]], object]
-Tested = tuple[Path, list[dict[str, Any]], Simulation]
+CYCLES = int(POSES["iso9283.cycles"])
+FIXED = ("--cell", "fixed")
+SHORT = {key: value for key, value in POSES.items() if not key.endswith("limit_mm")}
 
 
-@pytest.fixture(scope="module")
-def tested(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tested]:
-    """A run that was done, its folder and events, and its cell, which is still up."""
-    runs = tmp_path_factory.mktemp("iso9283")
-    with simulation(values=SHORT, name="fixed") as cell:
-        done = run(cell, runs, "whole")
-        assert done.end["exit"] == 0, done.done.stderr
-        yield runs, done.events, cell
-
-
-def run(
-    cell: Simulation,
-    runs: Path,
-    name: str,
-    more: Mapping[str, str] = MappingProxyType({}),
-    hear: Hear | None = None,
-) -> Ran:
-    values = SHORT | {"simulation.address": cell.control} | dict(more)
-    return ran(runs, "iso9283", values, "--cell", "fixed", name=name, hear=hear)
+@pytest.fixture
+def tested(golden: GoldenRuns) -> GoldenRun:
+    return golden["pose-test"]
 
 
 def exported(runs: Path, name: str, file: Path) -> dict[str, Any]:
@@ -68,19 +38,17 @@ def exported(runs: Path, name: str, file: Path) -> dict[str, Any]:
     return found
 
 
-def test_invariants_hold_and_a_pose_is_approached_from_the_one_before_it(tested: Tested) -> None:
-    _, printed, _ = tested
-    assert judge(printed) == []
-    moves = [e for e in printed if e["kind"] == "intent" and e.get("key", "").startswith("iso")]
+def test_a_pose_is_approached_from_the_one_before_it(tested: GoldenRun) -> None:
+    intents = [event for event in tested.events if event["kind"] == "intent"]
+    moves = [event for event in intents if event.get("key", "").startswith("iso")]
     assert [move["key"].split("/")[1] for move in moves] == ["P5", "P4", "P3", "P2", "P1"] * CYCLES
     for before, move in zip([moves[-1], *moves], moves, strict=False):
         assert move["from_deg"] == before["joints_deg"]
 
 
-def test_its_figures_are_those_of_the_exported_points(tested: Tested, tmp_path: Path) -> None:
-    runs, printed, _ = tested
-    found = printed[-1]["result"]["iso9283"]
-    whole = exported(runs, "whole", tmp_path / "whole.json")
+def test_its_figures_are_those_of_the_exported_points(tested: GoldenRun, tmp_path: Path) -> None:
+    found = tested.result["iso9283"]
+    whole = exported(tested.runs, "pose-test", tmp_path / "whole.json")
     T = np.array(whole["frames"]["base"]["matrix"])
     to_base = np.linalg.inv(T)
     clouds: dict[str, Any] = {}
@@ -106,11 +74,11 @@ def test_its_figures_are_those_of_the_exported_points(tested: Tested, tmp_path: 
 
 
 def test_a_killed_test_measures_the_missing_points_from_the_pose_before(
-    tested: Tested, tmp_path: Path
+    tested: GoldenRun, tmp_path: Path
 ) -> None:
-    runs, printed, _ = tested
+    printed = tested.events
     last = next(e for e in printed if e["kind"] == "point" and e["key"] == "iso9283/P3/002")
-    cut(runs / "whole", tmp_path / "cut", last["seq"])
+    cut(tested.folder, tmp_path / "cut", last["seq"])
     done = command("resume", "cut", "--runs", tmp_path, "--json", "--unattended")
     assert end_of(done)["exit"] == 0, done.stderr
     moves = [e for e in events(done.stdout) if e["kind"] == "intent" and "from_deg" in e]
@@ -121,7 +89,7 @@ def test_a_killed_test_measures_the_missing_points_from_the_pose_before(
     departures = end_of(done)["result"]["iso9283"]["deviations"]
     assert any("interrupted once" in each for each in departures)
     again = end_of(done)["result"]["iso9283"]["poses"]
-    for name, each in printed[-1]["result"]["iso9283"]["poses"].items():
+    for name, each in tested.result["iso9283"]["poses"].items():
         assert again[name]["ap_mm"] == pytest.approx(each["ap_mm"], abs=0.1)
     checked = command("show", "cut", "--runs", tmp_path, "--check", "--json")
     assert all(
@@ -129,12 +97,12 @@ def test_a_killed_test_measures_the_missing_points_from_the_pose_before(
     )
 
 
-def test_stated_limits_make_a_verdict(tested: Tested) -> None:
-    runs, _, cell = tested
-    done = run(cell, runs, "strict", {"iso9283.rp_limit_mm": "0.01", "iso9283.cycles": "3"})
+def test_stated_limits_make_a_verdict(tmp_path: Path) -> None:
+    strict = SHORT | {"iso9283.rp_limit_mm": "0.01", "iso9283.cycles": "3"}
+    done = ran(tmp_path, "iso9283", strict, *FIXED)
     assert (done.end["exit"], done.end["state"]) == (1, "finished")
     assert done.result["iso9283"]["limits"] == {"rp_limit_mm": 0.01}
-    facts = read_facts(runs / "strict")
+    facts = read_facts(done.folder)
     assert FirstPage(facts).verdict_title() == "WOULD FAIL"
     assert FirstPage(facts).status() == ("bad", "out of tolerance")
     assert Certificate(facts).conformity().startswith("guard band")
@@ -147,10 +115,8 @@ def test_several_reflectors_give_the_repeatability_of_angles(tmp_path: Path) -> 
     """Against scipy's Kabsch rotations of the exported readings."""
     three = {key: value for key, value in SEATS.items() if key == "robot.more_smr_mm"}
     limits = {"iso9283.rp_limit_deg": "0.5", "iso9283.cycles": "3"}
-    with simulation(values=SHORT | three, name="fixed") as cell:
-        done = run(cell, tmp_path, "angles", three | limits)
+    done = ran(tmp_path, "iso9283", SHORT | three | limits, *FIXED, name="angles")
     assert done.end["exit"] == 0, done.done.stderr
-    assert judge(done.events) == []
     found = done.result["iso9283"]
     assert found["not_measured"] == ["AP_a", "AP_b", "AP_c"]
     whole = exported(tmp_path, "angles", tmp_path / "angles.json")
@@ -185,9 +151,9 @@ def report_of(runs: Path, name: str) -> str:
     return page.read_text("utf-8")
 
 
-def test_its_report_has_its_figures(tested: Tested) -> None:
-    runs, printed, _ = tested
-    found, page = printed[-1]["result"]["iso9283"], report_of(runs, "whole")
+def test_its_report_has_its_figures(tested: GoldenRun, tmp_path: Path) -> None:
+    tested.copied_to(tmp_path)
+    found, page = tested.result["iso9283"], report_of(tmp_path, "pose-test")
     assert_references_resolve(page)
     for figure in ("figure-pose-test", "figure-attained"):
         assert f'id="{figure}"' in page
@@ -197,17 +163,16 @@ def test_its_report_has_its_figures(tested: Tested) -> None:
     assert f"{0.8 * 3**0.5 * 900:.3f}" in page  # P2 to P4: 80 % of the diagonal
 
 
-def test_a_calibration_is_tested_by_its_corrected_poses(tested: Tested, tmp_path: Path) -> None:
-    runs, _, cell = tested
-    words = ("--set", "iso9283.calibration=nothing", "--cell", "fixed", "--runs", runs)
-    done = command("run", "iso9283", *words, "--set", f"simulation.address={cell.control}")
+def test_a_calibration_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    done = ran(tmp_path, "iso9283", {"iso9283.calibration": "nothing"}, *FIXED).done
     assert done.returncode == 2
     assert "nothing" in done.stderr
 
 
 @pytest.mark.nightly
-def test_a_bumped_tracker_costs_the_cycles_since_its_proof(tested: Tested, tmp_path: Path) -> None:
-    _, printed, _ = tested
+def test_a_bumped_tracker_costs_the_cycles_since_its_proof(
+    tested: GoldenRun, tmp_path: Path
+) -> None:
     with simulation(values=SHORT, name="fixed") as cell:
         bumped: list[str] = []
 
@@ -216,14 +181,14 @@ def test_a_bumped_tracker_costs_the_cycles_since_its_proof(tested: Tested, tmp_p
                 bumped.append(event["key"])
                 cell.strike("tracker.drift_step", 0.5)
 
-        done = run(cell, tmp_path, "bumped", hear=hear)
+        values = SHORT | {"simulation.address": cell.control}
+        done = ran(tmp_path, "iso9283", values, *FIXED, hear=hear)
     assert done.end["exit"] == 0, done.done.stderr
     assert done.result["tracker"]["moved"] == 1
-    assert judge(done.events) == []
     moves = [e for e in done.events if e["kind"] == "intent" and "from_deg" in e]
     assert len(moves) == 2 * 5 * CYCLES
     again = done.result["iso9283"]["poses"]
-    for name, each in printed[-1]["result"]["iso9283"]["poses"].items():
+    for name, each in tested.result["iso9283"]["poses"].items():
         assert again[name]["count"] == CYCLES
         assert again[name]["ap_mm"] == pytest.approx(each["ap_mm"], abs=0.1)
         assert again[name]["rp_mm"] < 0.2

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from drivers.kuka.robot_c3 import C3Connection
-from hilcell.journal.runs import read_log
 from hilcell.ports import Array
 from tests.whole.bench import (
     SMALL,
+    TOTAL_STATION,
     Engine,
     Simulation,
     command,
@@ -24,8 +24,6 @@ from tests.whole.bench import (
     simulation,
     sweep,
 )
-from tests.whole.stations import TOTAL_STATION
-from tests.whole.trace import judge
 
 E1 = {"rail.driver": "kuka-e1"}
 FEWER = {"grid.size_mm": "[900.0, 450.0, 450.0]", "base_frame.points": "4"}
@@ -50,8 +48,7 @@ def test_a_small_calibration_ends_in_tolerance(
     """By day as far as corrected targets at a station: every act that moves slide or arm."""
     run = ran(tmp_path, procedure, plan | values)
     assert run.end["exit"] == 0, run.done.stderr
-    assert judge(run.events) == []
-    kinds = {each.kind: each.model for each in read_log(run.folder).assets}
+    kinds = {each.kind: each.model for each in run.log.assets}
     assert set(kinds) == {"drive", "strip", "robot", "tracker"}
     assert kinds["drive"].startswith(drive)
     assert kinds["strip"] == "MSAC501 simulated"

@@ -29,9 +29,8 @@ from hilcell.model.outcome import Outcome
 from hilcell.model.verdicts import Judged, Verdict
 from hilcell.programs.station_jobs import SHEET, TRUE_ANGLE
 from procedures.validate import Validate
-from tests.whole.bench import SEATS, SMALL, command, cut, end_of, events, sets
+from tests.whole.bench import SEATS, SMALL, command, cut, end_of, events, judge, sets
 from tests.whole.golden import GoldenRuns
-from tests.whole.trace import judge
 
 if TYPE_CHECKING:
     from hilcell.run.cell_session import CellSession
@@ -43,7 +42,6 @@ PROGRAM = "DEF drill()\nLIN {{X {:.3f},Y {:.3f},Z {:.3f},A {:.4f},B {:.4f},C {:.
 def test_the_orientation_is_corrected_as_measured(golden: GoldenRuns) -> None:
     run = golden["seats"]
     assert run.end["exit"] == 0, run.done.stderr
-    assert judge(run.events) == []
     figures = run.result["validation"]["BASE"]
     before, after = (figures[how]["orientation"] for how in ("before", "chosen"))
     assert after["mean_deg"] < 0.5 * before["mean_deg"]
@@ -56,6 +54,8 @@ def test_the_orientation_is_corrected_as_measured(golden: GoldenRuns) -> None:
     assert "validate_idw_seats" not in points
     verdicts = {e["key"]: e for e in run.events if e["kind"] == "verdict"}
     assert verdicts["orientation"]["holds"]
+    assert {each.kind for each in run.log.assets} == {"robot", "tracker"}  # there is no rail
+    assert not [event for event in run.log.events if event.body["what"] == "station held"]
 
 
 def test_a_limit_of_orientation_is_judged_like_those_of_position(
@@ -63,7 +63,7 @@ def test_a_limit_of_orientation_is_judged_like_those_of_position(
 ) -> None:
     """The run's own targets, by the limit that they keep, and by one that U leaves nothing of."""
     run = golden["seats"]
-    stated = read_log(run.folder).verdict(Judged, "validation.BASE")
+    stated = run.log.verdict(Judged, "validation.BASE")
     assert stated is not None
     assert (stated.holds, stated.outcome) == (True, Outcome.ACCEPTED)
     assert stated.max_tolerance_deg == 0.1
@@ -76,7 +76,9 @@ def test_a_limit_of_orientation_is_judged_like_those_of_position(
     Validate()._judge(cast("CellSession", limited))
     judged = limited.verdicts["validation.BASE"]
     assert (judged.holds, judged.outcome) == (False, Outcome.UNDECIDED)
-    assert command("report", "seats", "--runs", run.runs, "-o", tmp_path / "r").returncode == 0
+    report = tmp_path / "report.html"
+    assert command("report", "seats", "--runs", run.runs, "-o", report).returncode == 0
+    assert "on the floor, without a rail" in report.read_text("utf-8")
 
 
 class Limited:
@@ -94,7 +96,7 @@ class Limited:
 
 
 def test_each_reading_is_a_point_of_the_journal(golden: GoldenRuns, tmp_path: Path) -> None:
-    log = read_log(golden["seats"].folder)
+    log = golden["seats"].log
     first, second, third = (log.select("grid", seat=seat) for seat in (None, 2, 3))
     assert len(first) == len(second) == len(third) == 27
     assert all(point.nominal_deg for point in first)
@@ -169,7 +171,7 @@ def test_the_tool_really_is_turned_less(golden: GoldenRuns) -> None:
     """By the simulator's truth, of which no engine knows: a constant turn about axis 6 is allowed,
     the controller's zero of it cannot be told from the reflectors' mounting.
     """
-    log = read_log(golden["seats"].folder)
+    log = golden["seats"].log
     cell, seed = log.cell, log.inputs.machine_seed
     assert seed is not None
     arm = CellTruth(cell, seed, CellTime(), Faults()).arm

@@ -13,15 +13,13 @@ from hilcell.tui.run_view import RunView
 from hilcell.tui.text.plots import Choice, Measured, plot_lines, tabs_for
 from hilcell.tui.text.points import point_page, row_of
 from hilcell.tui.text.side import side_lines
-from tests.whole.bench import SMALL, ran
+from tests.whole.bench import SMALL, Ran, ran
 from tests.whole.golden import GoldenRuns
 
 LOOK = PlotStyle()
 
 
-def view_of(runs: Path, procedure: str, cell: str, values: dict[str, str]) -> RunView:
-    """Return the view of a run that was done in a cell of its own."""
-    run = ran(runs, procedure, values, "--cell", cell)
+def view_of(run: Ran) -> RunView:
     assert run.done.returncode == 0, run.done.stderr
     view = RunView("x")
     for record in read_records(run.folder):
@@ -43,9 +41,8 @@ def beside(view: RunView) -> str:
     return "\n".join(line.plain for line in lines)
 
 
-def test_a_pose_test_shows_each_pose_with_its_limit(tmp_path: Path) -> None:
-    short = SMALL | {"base_frame.points": "5", "iso9283.cycles": "3", "iso9283.ap_limit_mm": "3"}
-    view = view_of(tmp_path, "iso9283", "fixed", short)
+def test_a_pose_test_shows_each_pose_with_its_limit(golden: GoldenRuns) -> None:
+    view = view_of(golden["pose-test"])
     of, log = Measured(view.log), view.log
     assert log.end is not None
     wanted = log.end.result["iso9283"]["poses"]
@@ -57,7 +54,7 @@ def test_a_pose_test_shows_each_pose_with_its_limit(tmp_path: Path) -> None:
     for words in ("pose accuracy AP_p, mm", "P5", "limit of AP_p", "limit      3.000"):
         assert words in page(of), words
     assert "pose P3" in page(of, 1)
-    for words in ("map: |e| of the poses", "15 targets", "pose accuracy AP_p, mm"):
+    for words in ("map: |e| of the poses", "20 targets", "pose accuracy AP_p, mm"):
         assert words in beside(view), words
     page_of_one = point_page(view, next(point.key for point in log.select("iso9283")))
     text = "\n".join(line.plain for line in page_of_one.lines(79))
@@ -66,7 +63,7 @@ def test_a_pose_test_shows_each_pose_with_its_limit(tmp_path: Path) -> None:
 
 def test_a_recheck_shows_each_target_with_its_bound(golden: GoldenRuns, tmp_path: Path) -> None:
     words = SMALL | {"recheck.calibration": str(golden["small"].folder)}
-    view = view_of(tmp_path, "recheck", "paper", words)
+    view = view_of(ran(tmp_path, "recheck", words))
     of, log = Measured(view.log), view.log
     assert log.end is not None
     wanted = log.end.result["recheck"]["poses"]

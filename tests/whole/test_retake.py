@@ -9,17 +9,16 @@ from hilcell.cell.file import load_cell
 from hilcell.ports import HilcellError
 from hilcell.run.control import order
 from procedures.repeatability import visits
-from tests.whole.bench import SMALL, OwnCell, command, end_of, events, sets
+from tests.whole.bench import SMALL, OwnCell, command, end_of, events, journal, sets
 from tests.whole.golden import GoldenRuns
 from tests.whole.threaded import Event, ThreadedRun, is_state
-from tests.whole.trace import judge
 
 KEY = "validate/S300/chosen/001"
 CLOSING = [visit.id.key for visit in visits(load_cell("paper", SMALL), "closing")]
 
 
-def retaken(journal: list[dict[str, Any]]) -> list[str]:
-    return [e["key"] for e in journal if e["kind"] == "point" and e.get("retaken")]
+def retaken(printed: list[dict[str, Any]]) -> list[str]:
+    return [e["key"] for e in printed if e["kind"] == "point" and e.get("retaken")]
 
 
 @pytest.fixture(scope="module")
@@ -49,8 +48,7 @@ def test_a_finished_run_is_reopened_measured_and_judged_again(
     first = before["result"]["validation"]["S300"]["chosen"]["mean"]
     assert end["result"]["validation"]["S300"]["chosen"]["mean"] >= first  # the larger counts
     assert end["result"]["validation"]["S1100"] == before["result"]["validation"]["S1100"]
-    journal = events(command("watch", "mine", "--runs", runs, "--json").stdout)
-    assert judge(journal) == []
+    assert journal(runs, "mine")
     assert command("resume", "mine", "--runs", runs).returncode == 2  # it is finished
 
 
@@ -80,8 +78,7 @@ def test_a_retake_that_is_not_allowed_is_refused_before_anything_moves(
     done = command("resume", "mine", "--runs", runs, "--retake", key, "--retake", KEY)
     assert done.returncode == 2
     assert key in done.stderr
-    journal = events(command("watch", "mine", "--runs", runs, "--json").stdout)
-    assert journal[-1]["kind"] == "end"
+    assert journal(runs, "mine")[-1]["kind"] == "end"
 
 
 def test_a_live_run_measures_a_vertex_again(tmp_path: Path) -> None:
@@ -101,7 +98,6 @@ def test_a_live_run_measures_a_vertex_again(tmp_path: Path) -> None:
         end = run.rest()
     assert (end["exit"], end["state"]) == (4, "aborted")
     assert retaken(run.events) == ["grid/0-0-0"]
-    assert judge(run.events) == []
     assert not [e for e in run.events if e.get("what") == "safe stop"]
 
 

@@ -15,9 +15,8 @@ import pytest
 from hilcell.journal.journal import StorageError, read_journal
 from hilcell.journal.runs import JOURNAL, live_engine, read_log, run_folders
 from hilcell.run import control
-from tests.whole.bench import LOOK_S, SMALL, command, sets, simulation, wait_gone
+from tests.whole.bench import LOOK_S, SMALL, command, judge, sets, simulation, wait_gone
 from tests.whole.terminal import Terminal
-from tests.whole.trace import judge
 
 pytestmark = pytest.mark.process
 

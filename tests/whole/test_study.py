@@ -20,16 +20,16 @@ import pyarrow.parquet as pq
 import pytest
 
 import hilcell.__main__
+from hilcell.cell.file import Cell
 from hilcell.commands.cli import main
 from hilcell.study import cluster
 from hilcell.study.case import CaseResult, calibrate_case, encode_cell, versions
 from hilcell.study.cluster import ClusterError
 from hilcell.study.design import Case, cases
 from hilcell.study.results import Results, case_row
-from hilcell.study.runner import run_study
 from hilcell.study.study_file import read_study, study_cell
 from tests.hilcell.cell.packages import install
-from tests.hilcell.study.studies import study, written
+from tests.hilcell.study.studies import Bench, performed, study, written
 from tests.whole.bench import HILCELL, command
 from tests.whole.dask_bench import READINGS, scheduler, scheduler_here, worker
 
@@ -41,16 +41,10 @@ def table(folder: Path) -> pa.Table:
 def measured_here(path: Path, folder: Path) -> pa.Table:
     """Return the rows of a study that this process measures by itself."""
 
-    class Here:
-        def measure(
-            self, waiting: Iterable[tuple[Case, bytes]]
-        ) -> Iterator[tuple[Case, CaseResult]]:
-            for case, cell in waiting:
-                yield case, calibrate_case(cell, case.machine, case.seed, versions())
+    def calibrated(case: Case, cell: Cell) -> CaseResult:
+        return calibrate_case(encode_cell(cell), case.machine, case.seed, versions())
 
-    results = Results(folder, read_study(path))
-    with results.held():
-        run_study(results, Here(), lambda _: None)  # type: ignore[arg-type]  # workers of Dask
+    performed(Results(folder, read_study(path)), Bench(calibrated))
     return table(folder)
 
 
@@ -126,14 +120,13 @@ def test_a_study_that_ends_early_says_whether_cases_are_kept(
 ) -> None:
     """As a restart of the PC while workers start: cases of an earlier session are kept."""
 
-    class Ends:
+    class Ends(Bench):
         def measure(
             self, waiting: Iterable[tuple[Case, bytes]]
         ) -> Iterator[tuple[Case, CaseResult]]:
             if not lost:
                 signal.raise_signal(signal.SIGTERM)
-            yield from [(case, found) for case, _ in list(waiting)[:kept]]
-            raise ClusterError("scheduler tcp://nowhere is gone")
+            yield from super().measure(waiting)
 
     path = written(tmp_path, READINGS)
     asked = read_study(path)
@@ -141,7 +134,8 @@ def test_a_study_that_ends_early_says_whether_cases_are_kept(
     results = Results(tmp_path / "r", asked)
     with results.held():
         results.add([case_row(case, found, asked) for case in list(cases(asked))[:kept]])
-    monkeypatch.setattr("hilcell.commands.study._workers", lambda _: nullcontext(Ends()))
+    ends = Ends(lambda case, cell: found, most=kept)
+    monkeypatch.setattr("hilcell.commands.study._workers", lambda _: nullcontext(ends))
     done = command("study", path, "-o", tmp_path / "r")
     assert done.returncode == (code if kept or not lost else 2)
     assert ("continues" in done.stderr.splitlines()[-1]) is bool(kept)

@@ -13,18 +13,17 @@ import pytest
 
 from drivers.spatialanalyzer.t2sa_points import main as write_points
 from hilcell.journal.runs import read_log
-from tests.whole.bench import SMALL, command, ran, simulation
-from tests.whole.stations import TOTAL_STATION as STATION
+from tests.whole.bench import SMALL, TOTAL_STATION, command, ran, simulation
 
-CALIBRATION = SMALL | STATION | {"layout.nest_samples": "9"}
+CALIBRATION = SMALL | TOTAL_STATION | {"layout.nest_samples": "9"}
 T2SA = {"tracker.driver": "t2sa", "sweeps.enabled": "true"}
 
 
 def test_an_unattended_run_waits_while_readings_are_not_accurate(tmp_path: Path) -> None:
     """A person may level and adjust the instrument meanwhile; a good poll lets the run go on."""
-    with simulation(values=STATION) as cell:
+    with simulation(values=TOTAL_STATION) as cell:
         cell.strike("tracker.geocom_code", 1284, count=6)
-        run = ran(tmp_path, "world-frame", STATION | {"simulation.address": cell.control})
+        run = ran(tmp_path, "world-frame", TOTAL_STATION | {"simulation.address": cell.control})
     assert run.done.returncode == 0, run.done.stderr
     life = [(each.to, each.change.by or None) for each in read_log(run.folder).life]
     assert [each for each in life if each[0] == "suspended" or each[1]] == [
@@ -98,7 +97,7 @@ def test_a_mount_that_slipped_is_noticed_with_a_total_station(machine: str, tmp_
 
 
 def test_sweeps_alone_say_that_nothing_was_swept(tmp_path: Path) -> None:
-    run = ran(tmp_path, "axis-sweeps", STATION | {"base_frame.points": "6"})
+    run = ran(tmp_path, "axis-sweeps", TOTAL_STATION | {"base_frame.points": "6"})
     left_out = run.result["sweeps"]["left_out"]
     assert left_out.startswith("tracker driver 'leica-geocom' does not stream")
 

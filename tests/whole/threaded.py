@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from hilcell.run.control import stop_engine
-from tests.whole.bench import command
+from tests.whole.bench import broken, performed
 
 Event = dict[str, Any]
 Stands = Callable[[Event], bool]
@@ -60,10 +60,15 @@ class ThreadedRun:
         raise AssertionError(f"the run ended first: {self.done}")
 
     def rest(self) -> Event:
-        """Let the run go on to its end; return its last event."""
+        """Let the run go on to its end; return its last event.
+
+        One that breaks an invariant fails the test.
+        """
         while self._next() is not None:
             continue
         self._thread.join()
+        assert self.done is not None
+        assert broken(self.done.stdout) == []
         return self.events[-1]
 
     def _next(self) -> Event | None:
@@ -80,7 +85,7 @@ class ThreadedRun:
 
     def _run(self) -> None:
         self._may_go_on.acquire()
-        self.done = command(*self._words, hear=self._hear)
+        self.done = performed(*self._words, hear=self._hear)
         self._came.put(None)
 
     def _hear(self, event: Event) -> None:

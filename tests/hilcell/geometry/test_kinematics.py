@@ -1,11 +1,23 @@
 """Forward kinematics against an independent composition of rotations and translations."""
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from hilcell.geometry.frames import pose_from_zyx
+from hilcell.cell.file import load_cell
+from hilcell.geometry.frames import inverse, pose_from_zyx
+from hilcell.geometry.inverse import joint_jacobian
+from hilcell.geometry.jacobian import (
+    KINDS,
+    PARAMETERS,
+    link_errors,
+    parameter_jacobian,
+    tool_and_jacobian,
+)
 from hilcell.geometry.kinematics import Arm, forward, link_transforms
 
 
@@ -47,3 +59,117 @@ def test_forward_agrees_with_scipy(seed: int) -> None:
             np.testing.assert_allclose(links[row], link.as_matrix(), atol=1e-9)
             peer = peer * link
         np.testing.assert_allclose(pose, peer.as_matrix() @ arm.tool, atol=1e-8)
+
+
+PAPER = load_cell("paper").robot.arm()
+RELATIVE = 1e-7
+seeds = st.integers(0, 2**32 - 1)
+
+
+def changed(arm: Arm, parameter: int, step: float) -> Arm:
+    """Return the arm with one parameter, by its column, made larger by ``step``."""
+    if parameter >= 30:
+        tool = arm.tool.copy()
+        tool[parameter - 30, 3] += step
+        return replace(arm, tool=tool)
+    kind, row = KINDS[parameter // 6], parameter % 6
+    return replace(arm, **{kind: getattr(arm, kind) + step * np.eye(6)[row]})
+
+
+def differences(arm: Arm, joints: np.ndarray, parameter: int) -> np.ndarray:
+    """Return the column (N, 6) in {B} by central differences."""
+    step = 1e-5 if "rad" in PARAMETERS[parameter] else 1e-2
+    low = forward(changed(arm, parameter, -step), joints)
+    high = forward(changed(arm, parameter, step), joints)
+    turn = high[:, :3, :3] @ np.swapaxes(low[:, :3, :3], -1, -2)
+    vector = Rotation.from_matrix(turn).as_rotvec()
+    return np.hstack([high[:, :3, 3] - low[:, :3, 3], vector]) / (2 * step)
+
+
+def check(arm: Arm, joints: np.ndarray) -> None:
+    J = parameter_jacobian(arm, joints)
+    assert J.shape == (len(joints), 6, 33)
+    reach = np.abs(arm.a_mm).sum() + np.abs(arm.d_mm).sum() + np.linalg.norm(arm.tool[:3, 3])
+    for parameter, name in enumerate(PARAMETERS):
+        found = differences(arm, joints, parameter)
+        size = reach if "rad" in name else 1.0
+        np.testing.assert_allclose(J[:, :3, parameter], found[:, :3], rtol=0, atol=RELATIVE * size)
+        np.testing.assert_allclose(J[:, 3:, parameter], found[:, 3:], rtol=0, atol=RELATIVE)
+
+
+@settings(max_examples=8)
+@given(seeds)
+def test_paper_arm_with_hayati_against_differences(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    check(replace(PAPER, beta_rad=rng.uniform(-0.5, 0.5, 6)), rng.uniform(-np.pi, np.pi, (3, 6)))
+
+
+@settings(max_examples=8)
+@given(seeds)
+def test_any_arm_against_differences(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    check(arm_of(rng), rng.uniform(-np.pi, np.pi, (3, 6)))
+
+
+@settings(max_examples=8)
+@given(seeds)
+def test_link_errors_are_those_of_eqs_3_and_4(seed: int) -> None:
+    """A_i^-1 dA_i is the error matrix, whatever the joint angle."""
+    rng = np.random.default_rng(seed)
+    arm, joints = arm_of(rng), rng.uniform(-np.pi, np.pi, 6)
+    back, errors = inverse(link_transforms(arm, joints)), link_errors(arm)
+    for parameter in range(30):
+        row, kind, step = parameter % 6, parameter // 6, 1e-5
+        dA = (
+            link_transforms(changed(arm, parameter, step), joints)[row]
+            - link_transforms(changed(arm, parameter, -step), joints)[row]
+        ) / (2 * step)
+        delta = back[row] @ dA
+        found = [*delta[:3, 3], delta[2, 1], delta[0, 2], delta[1, 0]]
+        np.testing.assert_allclose(found, errors[row, :, kind], atol=1e-5)
+
+
+@given(seeds)
+def test_first_order_is_all_but_the_square(seed: int) -> None:
+    """Eq 5's product less eq 6's sum shrinks with the square of the errors."""
+    rng = np.random.default_rng(seed)
+    joints, errors = rng.uniform(-np.pi, np.pi, (4, 6)), rng.normal(0, 1e-3, 33)
+    missed = []
+    for share in (1.0, 0.1):
+        arm = PAPER
+        for parameter in range(33):
+            arm = changed(arm, parameter, share * errors[parameter])
+        shift = forward(arm, joints)[:, :3, 3] - forward(PAPER, joints)[:, :3, 3]
+        predicted = parameter_jacobian(PAPER, joints)[:, :3] @ (share * errors)
+        missed.append(np.linalg.norm(shift - predicted, axis=1).max())
+    assert missed[1] == pytest.approx(missed[0] / 100, rel=0.1)
+
+
+@given(seeds)
+def test_offsets_move_the_tool_as_joints_do(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    arm, joints = arm_of(rng), rng.uniform(-np.pi, np.pi, (2, 3, 6))
+    offsets = parameter_jacobian(arm, joints)[..., 18:24]
+    np.testing.assert_allclose(arm.sign * offsets, joint_jacobian(arm, joints), atol=1e-8)
+
+
+@given(seeds)
+def test_axes_of_the_tool_and_of_the_base(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    arm, joints = arm_of(rng), rng.uniform(-np.pi, np.pi, 6)
+    R = forward(arm, joints)[:3, :3]
+    here, there = tool_and_jacobian(arm, joints)[1], parameter_jacobian(arm, joints)
+    np.testing.assert_allclose(R @ here[:3], there[:3], atol=1e-9)
+    np.testing.assert_allclose(R @ here[3:], there[3:], atol=1e-12)
+
+
+def test_parallel_axes_need_hayati() -> None:
+    """Slips 3: d2 and d3 cannot be separated, and only beta 2 tilts axis 3 out of its plane."""
+    joints = np.random.default_rng(1).uniform(-np.pi, np.pi, (40, 6))
+    J = parameter_jacobian(PAPER, joints)
+    d, beta = PARAMETERS.index("d_mm[0]"), PARAMETERS.index("beta_rad[0]")
+    np.testing.assert_allclose(J[..., d + 1], J[..., d + 2], atol=1e-12)
+    plain = J[..., :24].reshape(-1, 24)
+    tilt = J[..., beta + 1].ravel()
+    missed = tilt - plain @ np.linalg.lstsq(plain, tilt, rcond=1e-12)[0]
+    assert np.linalg.norm(missed) > 0.1 * np.linalg.norm(tilt)

@@ -5,23 +5,40 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator
 from contextlib import closing
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 
 from hilcell.plant.database import Database
 from tests.hilcell.plant.server import BLANK, MISSING, Server, server
-from tests.hilcell.plant.year import Model
+from tests.hilcell.plant.year import Model, Run
+from tests.whole.bench import command
 from tests.whole.golden import GoldenRuns
 
 NOW = datetime(2026, 11, 1, 12, 0, tzinfo=UTC)
+DAY = timedelta(days=1)
+
+
+def refused(*words: str | Path, code: int = 2) -> str:
+    """Return the one line that a command of the plant says on stderr, and nothing on stdout."""
+    done = command("plant", *words)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (code, "", 1), done.stderr
+    return done.stderr
 
 
 @pytest.fixture(scope="session")
 def model(golden: GoldenRuns) -> Model:
     """Return the run that journals are made of."""
     return Model(golden["small"].folder)
+
+
+@pytest.fixture
+def runs(model: Model, tmp_path: Path) -> Path:
+    """Return a folder of two runs of a cell, of two months."""
+    for name, days in (("a", 60), ("b", 20)):
+        model.write(tmp_path / "runs", Run(name, "north", "HC-1", NOW - days * DAY))
+    return tmp_path / "runs"
 
 
 @pytest.fixture(scope="session")

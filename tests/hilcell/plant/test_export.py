@@ -23,7 +23,7 @@ from cryptography.hazmat.primitives.serialization import (
     PrivateFormat,
     PublicFormat,
 )
-from sqlalchemy import Executable, text
+from sqlalchemy import text
 
 from hilcell.commands.cli import main
 from hilcell.journal.runs import CALIBRATION, read_records
@@ -32,7 +32,7 @@ from hilcell.plant.database import Database
 from hilcell.plant.record import run_record
 from hilcell.plant.tables import FRAME, POINT, RUN, VERDICT
 from tests.hilcell.commands.full_disk import files_limited_to
-from tests.hilcell.plant.conftest import NOW
+from tests.hilcell.plant.conftest import NOW, refused
 from tests.hilcell.plant.year import Model, Run
 from tests.whole.bench import command
 from tests.whole.golden import GoldenRuns
@@ -82,10 +82,7 @@ class Auditor:
         (self.out / SIGNATURE).write_bytes(self.signer.sign(content))
 
     def said(self, words: list[str], code: int = 2) -> str:
-        """Return the one line that a command says on stderr."""
-        done = command(*words)
-        assert (done.returncode, done.stdout, done.stderr.count("\n")) == (code, "", 1), done.stderr
-        return done.stderr
+        return refused(*words[1:], code=code)
 
     @property
     def names(self) -> set[str]:
@@ -330,12 +327,6 @@ def test_a_place_that_is_taken_is_left_as_it_is(empty: Auditor) -> None:
     empty.said(empty.export(out=empty.folder / "no" / "out"))
 
 
-def change(url: str, *orders: Executable) -> None:
-    with closing(Database(url)) as database, database.transaction() as connection:
-        for order in orders:
-            connection.execute(order)
-
-
 @pytest.mark.parametrize(
     "order",
     [
@@ -356,7 +347,8 @@ def change(url: str, *orders: Executable) -> None:
 )
 def test_a_value_that_was_changed_in_the_database_is_not_signed(order: str, empty: Auditor) -> None:
     before = empty.names
-    change(empty.url, text(order))
+    with closing(Database(empty.url)) as database, database.transaction() as connection:
+        connection.execute(text(order))
     assert RUN_NAME in empty.said(empty.export())
     assert empty.names == before
 

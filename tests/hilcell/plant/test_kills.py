@@ -24,7 +24,7 @@ from hilcell.plant.shipper import Shipped, ship
 from hilcell.plant.tables import PARTS, POINT, RUN
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.server import BLANK, Server
-from tests.hilcell.plant.year import Model, Run, extend
+from tests.hilcell.plant.year import Model, Run, revoke
 from tests.whole.bench import command, sweep
 
 RUNS = 3
@@ -40,11 +40,6 @@ def runs(model: Model, tmp_path: Path) -> Path:
         began = NOW - timedelta(days=20 * (RUNS - n))
         model.write(tmp_path / "runs", Run(f"r{n}", "north", "HC-1", began))
     return tmp_path / "runs"
-
-
-def open_again(runs: Path, number: int) -> None:
-    event = {"what": "calibration revoked", "reason": f"bumped {number}", "operator": "Ann"}
-    extend(runs / f"r{number}", [(NOW, "event", "", event)])
 
 
 def check(database: Database, runs: Path, revisions: Counter[str]) -> None:
@@ -84,7 +79,7 @@ def test_a_shipper_that_is_killed(seed: int, kills: int, runs: Path, postgresql:
             killed += _until_shipped(rng, runs, url)
             ship(runs, database)
             again = rng.randrange(RUNS)
-            open_again(runs, again)
+            revoke(runs / f"r{again}", NOW)
             revisions[f"r{again}"] += 1
             killed += _until_shipped(rng, runs, url)
             ship(runs, database)
@@ -113,7 +108,8 @@ def test_a_shipment_that_is_cut_off_before_each_order_of_a_run(
 ) -> None:
     """Also after the commit, before the shipper has noted it."""
     runs = tmp_path / "runs"
-    points = len(run_record("r0", read_records(_one(model, runs))).rows[POINT])
+    folder = model.write(runs, Run("r0", "north", "HC-1", NOW))
+    points = len(run_record("r0", read_records(folder)).rows[POINT])
     order, ended = 0, False
     while not ended:
         order += 1
@@ -135,10 +131,6 @@ def test_a_shipment_that_is_cut_off_before_each_order_of_a_run(
             done = ship(runs, database)
             assert (done.runs, done.before) == (1 - kept, kept)
     assert order > ORDERS
-
-
-def _one(model: Model, runs: Path) -> Path:
-    return model.write(runs, Run("r0", "north", "HC-1", NOW))
 
 
 @pytest.mark.process

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from itertools import cycle
 from math import nextafter
 from pathlib import Path
@@ -23,13 +23,12 @@ from hilcell.plant.database import CELL, ENGINEER, MIGRATIONS, SHIPPED, Database
 from hilcell.plant.record import heads, rows_digest, run_record
 from hilcell.plant.shipper import ship, write
 from hilcell.plant.tables import GRID, HEAD, LENGTH, PARTS, POINT, RUN, TABLES
-from tests.hilcell.plant.conftest import NOW
+from tests.hilcell.plant.conftest import NOW, refused
 from tests.hilcell.plant.server import Server
 from tests.hilcell.plant.test_export import private
 from tests.hilcell.plant.year import Model, Run
 from tests.whole.bench import command
 
-DAY = timedelta(days=1)
 BOTH = ["office", pytest.param("plant", marks=pytest.mark.process)]
 
 
@@ -41,13 +40,6 @@ def asking(url: str) -> Iterator[psycopg.Connection[tuple[object, ...]]]:
 
 def name_of(database: Database) -> str:
     return str(database.engine.url.database)
-
-
-@pytest.fixture
-def runs(model: Model, tmp_path: Path) -> Path:
-    for name, days in (("a", 60), ("b", 20)):
-        model.write(tmp_path / "runs", Run(name, "north", "HC-1", NOW - days * DAY))
-    return tmp_path / "runs"
 
 
 def _ours(thing: object, name: str, kind: str, reflected: bool, other: object) -> bool:
@@ -129,7 +121,7 @@ def test_tables_are_made_once_in_any_encoding_and_in_months(
     url = postgresql.make()
     with closing(Database(url)) as database, database.transaction() as connection:
         connection.execute(text("CREATE TABLE orders (n integer)"))
-    assert "orders" in _refused("plant", "init", "--to", url)
+    assert "orders" in refused("init", "--to", url)
 
 
 def _two_that_make_the_tables_at_once_make_them_once(postgresql: Server) -> None:
@@ -157,13 +149,6 @@ def _two_that_make_the_tables_at_once_make_them_once(postgresql: Server) -> None
         assert database.create() == ""
     second.join()
     assert made == [HEAD]
-
-
-def _refused(*words: str | Path) -> str:
-    """Return the one line with which a command is refused."""
-    done = command(*words)
-    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stderr
-    return done.stderr
 
 
 @pytest.mark.process
@@ -198,15 +183,15 @@ def test_cells_may_insert_only_and_engineers_may_read_only(
                     connection.execute(order.encode())
     (runs / SHIPPED).unlink()
     for user in ("engineer_user", "nobody_s"):
-        said = _refused("plant", "ship", runs, "--to", postgresql.url(name, user))
+        said = refused("ship", runs, "--to", postgresql.url(name, user))
         assert CELL in said
-    _refused("plant", "init", "--to", postgresql.url(name, "nobody_s"))
-    assert "nowhere" in _refused("plant", "ship", runs, "--to", postgresql.url("nowhere"))
+    refused("init", "--to", postgresql.url(name, "nobody_s"))
+    assert "nowhere" in refused("ship", runs, "--to", postgresql.url("nowhere"))
     key = ("--key", private(runs / "key"), "--from", postgresql.url(name, "engineer_user"))
     assert command("plant", "export", "north", *key, "-o", runs / "out").returncode == 0
     with asking(postgresql.url(name)) as owner:
         owner.execute("UPDATE verdict SET mean_mm = 0.001 WHERE key = 'validation.S300'")
-    assert "a, b" in _refused("plant", "export", "north", *key, "-o", runs / "after")
+    assert "a, b" in refused("export", "north", *key, "-o", runs / "after")
     assert not (runs / "after").exists()
 
 
@@ -231,7 +216,7 @@ def test_a_login_is_refused_and_its_password_is_nowhere(
     for place in (f"ann:{wrong}@/shut?host={host}", f"ann@/shut?password={wrong}&host={host}"):
         url = f"postgresql://{place}"
         for words in (("ship", runs, "--to", url), ("show", "--from", url, "--json")):
-            line = _refused("plant", *words)
+            line = refused(*words)
             assert "***" in line
             assert wrong not in line
     kept = [path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import random
@@ -12,7 +13,7 @@ import string
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -20,18 +21,19 @@ import msgspec
 import pytest
 from sqlalchemy import func, select
 
+from hilcell.calibration.file import SEAL
 from hilcell.journal.index import NAME as INDEX
 from hilcell.journal.journal import Record
-from hilcell.journal.runs import ENGINE, JOURNAL, EngineFile, read_records
+from hilcell.journal.runs import CALIBRATION, ENGINE, JOURNAL, EngineFile, read_records
+from hilcell.plant import shipper
 from hilcell.plant.cells import cells
 from hilcell.plant.database import SHIPPED, Database
 from hilcell.plant.shipper import Shipped, ship
-from hilcell.plant.tables import POINT, RUN
-from tests.hilcell.plant.conftest import NOW
-from tests.hilcell.plant.year import Model, Run, extend, write_journal
+from hilcell.plant.tables import DOCUMENT, POINT, RUN
+from tests.hilcell.plant.conftest import DAY, NOW
+from tests.hilcell.plant.year import Model, Run, revoke, write_journal
 from tests.whole.bench import command
-
-DAY = timedelta(days=1)
+from tests.whole.golden import GoldenRuns
 
 
 @pytest.fixture(scope="module")
@@ -59,11 +61,6 @@ def points(database: Database) -> int:
     with database.transaction() as connection:
         count: int = connection.execute(select(func.count()).select_from(POINT)).scalar_one()
     return count
-
-
-def revoke(folder: Path) -> None:
-    event = {"what": "calibration revoked", "reason": "bumped", "operator": "Ann"}
-    extend(folder, [(NOW, "event", "", event)])
 
 
 @contextmanager
@@ -129,7 +126,7 @@ def test_a_database_that_was_set_back_gets_again_what_it_lost(
 def test_a_run_that_was_opened_again_is_a_new_revision(runs: Path, office: Database) -> None:
     ship(runs, office)
     last = len(read_records(runs / "a"))
-    revoke(runs / "a")
+    revoke(runs / "a", NOW)
     done = ship(runs, office)
     assert (done.runs, done.before) == (1, 2)
     assert kept(office)[-2:] == [("a", last), ("a", last + 1)]
@@ -140,7 +137,7 @@ def test_a_run_that_was_opened_again_is_a_new_revision(runs: Path, office: Datab
 
 def test_a_cell_whose_calibrations_are_all_revoked_has_none(runs: Path, office: Database) -> None:
     for name in "abc":
-        revoke(runs / name)
+        revoke(runs / name, NOW)
     ship(runs, office)
     with office.transaction() as connection:
         (state,) = cells(connection, NOW)
@@ -152,7 +149,7 @@ def test_an_older_revision_that_arrives_later_changes_nothing(
     runs: Path, office: Database, tmp_path: Path
 ) -> None:
     shutil.copytree(runs, tmp_path / "older")
-    revoke(runs / "a")
+    revoke(runs / "a", NOW)
     ship(runs, office)
     ship(tmp_path / "older", office)
     with office.transaction() as connection:
@@ -171,7 +168,7 @@ def test_a_folder_that_is_behind_the_plant_is_named(
     shutil.rmtree(older / "b")
     rows = [(datetime.fromisoformat(each.t), each.kind, each.key, each.body) for each in records]
     write_journal(older / "b", rows)
-    revoke(runs / "a")
+    revoke(runs / "a", NOW)
     assert ship(runs, office).behind == {}
     whole = len(read_records(runs / "b"))
     for before in (2, 2):  # read from the journal, then known by the folder's own file
@@ -181,7 +178,7 @@ def test_a_folder_that_is_behind_the_plant_is_named(
     shown = command("plant", "ship", older, "--to", office.name, "--json")
     assert json.loads(shown.stdout)["behind"]["a"] == {"here": last, "plant": last + 1}
     assert f"{last + 1}" in shown.stderr
-    revoke(older / "a")
+    revoke(older / "a", NOW)
     assert ship(older, office).behind == {"b": (10, whole)}
 
 
@@ -324,7 +321,7 @@ def test_a_copy_under_another_name_is_refused_and_stops_no_other(
     shutil.copytree(runs / "a", copies / "z backup")
     first = ship(runs, office)
     assert len(kept(office)) == 3
-    revoke(runs / "a")
+    revoke(runs / "a", NOW)
     shutil.copytree(runs / "a", copies / "revoked")
     done = ship(copies, office)
     assert first.refused.keys() | done.refused.keys() == {"z backup", "revoked"}
@@ -361,3 +358,102 @@ def test_two_shippers_at_once_keep_each_run_once(runs: Path, office: Database) -
     assert second == [Shipped(runs=2, points=second[0].points, before=1)]
     assert (first.runs, first.before) == (1, 2)
     assert len(kept(office)) == 3
+
+
+# -- the calibration file of a run is shipped as it lies there, or named as what it is ------------
+
+
+@pytest.fixture
+def measured(golden: GoldenRuns, model: Model, tmp_path: Path) -> Path:
+    """Return the folder of a whole calibration, and of a run whose file is not there."""
+    golden["small"].copied_to(tmp_path / "runs")
+    model.write(tmp_path / "runs", Run("other", "north", "HC-1", NOW))
+    return tmp_path / "runs"
+
+
+def shipped(measured: Path, database: Database) -> tuple[Shipped, list[tuple[str, str, str, str]]]:
+    done = ship(measured, database)
+    with database.transaction() as connection:
+        asked = select(RUN.c.name, DOCUMENT.c.name, DOCUMENT.c.sha256, DOCUMENT.c.text)
+        rows = connection.execute(asked.join(DOCUMENT, DOCUMENT.c.digest == RUN.c.digest))
+        return done, [(run, name, sha256, text) for run, name, sha256, text in rows]
+
+
+def test_a_calibration_file_is_kept_to_the_letter(measured: Path, office: Database) -> None:
+    done, found = shipped(measured, office)
+    assert (done.runs, done.refused) == (2, {})
+    content = (measured / "small" / CALIBRATION).read_bytes()
+    (kept,) = found
+    assert kept == ("small", CALIBRATION, hashlib.sha256(content).hexdigest(), content.decode())
+
+
+def edited(file: Path) -> None:
+    content = json.loads(file.read_text())
+    content["pitch_mm"] += 1.0
+    file.write_text(json.dumps(content))
+
+
+def linked(file: Path) -> None:
+    elsewhere = file.rename(file.with_name("elsewhere"))
+    file.symlink_to(elsewhere)
+
+
+def dangling(file: Path) -> None:
+    file.unlink()
+    file.symlink_to("/nowhere")
+
+
+def folder(file: Path) -> None:
+    file.unlink()
+    file.mkdir()
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        edited,
+        linked,
+        dangling,
+        folder,
+        lambda file: file.write_bytes(b"\xff\xfe"),
+        lambda file: file.write_text("[]"),
+        lambda file: file.write_text("[" * 100_000),
+        lambda file: file.write_text(json.dumps({"schema": 3, SEAL: 3})),
+    ],
+)
+def test_a_file_that_the_run_did_not_write_is_refused_and_stops_no_other(
+    spoil: Callable[[Path], object], measured: Path, office: Database
+) -> None:
+    spoil(measured / "small" / CALIBRATION)
+    done, found = shipped(measured, office)
+    assert list(done.refused) == ["small"]
+    assert (done.runs, found) == (1, [])
+
+
+def test_a_file_without_an_end_is_not_read(
+    measured: Path, office: Database, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shipper, "MOST_BYTES", 1000)
+    done, _ = shipped(measured, office)
+    assert "1000" in done.refused["small"]
+
+
+def test_what_a_run_without_a_calibration_has_lying_there_is_not_shipped(
+    measured: Path, model: Model, office: Database
+) -> None:
+    fault = {"code": "HC-B23", "device": "Robot", "operation": "move", "found": "", "wanted": ""}
+    broken = model.write(measured, Run("broken", "north", "HC-1", NOW, fault=fault))
+    (measured / "small" / CALIBRATION).rename(broken / CALIBRATION)
+    done, found = shipped(measured, office)
+    assert (done.runs, done.refused, found) == (3, {}, [])
+
+
+def test_a_file_that_came_back_is_shipped(measured: Path, office: Database) -> None:
+    content = (measured / "small" / CALIBRATION).read_bytes()
+    edited(measured / "small" / CALIBRATION)
+    assert list(shipped(measured, office)[0].refused) == ["small"]
+    (measured / "small" / CALIBRATION).write_bytes(content)
+    done, found = shipped(measured, office)
+    assert (done.runs, done.before, len(found)) == (1, 1, 1)
+    (measured / SHIPPED).unlink()
+    assert shipped(measured, office)[0] == Shipped(before=2)

@@ -23,7 +23,7 @@ from hilcell.journal.runs import read_records
 from hilcell.plant.database import ENGINEER, Database
 from hilcell.plant.shipper import ship
 from tests.conftest import shared_folder
-from tests.hilcell.plant.conftest import NOW
+from tests.hilcell.plant.conftest import DAY, NOW
 from tests.hilcell.plant.server import BLANK, Server
 from tests.hilcell.plant.year import (
     COLLISION,
@@ -39,7 +39,6 @@ from tests.hilcell.plant.year import (
 from tests.whole.bench import command
 from tests.whole.golden import once
 
-DAY = timedelta(days=1)
 ROOT = Path(__file__).parents[3]
 
 

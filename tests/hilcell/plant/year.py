@@ -149,6 +149,12 @@ def extend(folder: Path, rows: Sequence[tuple[datetime, Any, str, dict[str, Any]
     return folder
 
 
+def revoke(folder: Path, when: datetime) -> None:
+    """Write that a run's calibration was revoked."""
+    event = {"what": "calibration revoked", "reason": "bumped", "operator": "Ann"}
+    extend(folder, [(when, "event", "", event)])
+
+
 def turned(places_mm: Array, rad: float = TURN_RAD) -> Array:
     """Return how an arm's errors change that has turned about the z axis of its base."""
     moved: Array = np.cross(np.array([0.0, 0.0, rad]), places_mm)

@@ -1,13 +1,16 @@
-"""The cases of a study are a pure function of its file."""
+"""The cases of a study are a pure function of its file; what a Sobol design draws."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy import stats
 
 from hilcell.study.design import cases, points
 from tests.hilcell.study.studies import study
+from tests.hilcell.study.test_study_file import factor, refused
 
 RANGES = """
 [[factor]]
@@ -69,3 +72,88 @@ def test_a_sobol_design_fills_its_ranges(tmp_path: Path) -> None:
 def test_the_same_file_gives_the_same_list(tmp_path: Path) -> None:
     one, other = (list(cases(study(tmp_path, RANGES, SOBOL))) for _ in range(2))
     assert one == other
+
+
+MANY = 'design = "sobol"\nsamples = 512\nmachines = 1'
+
+
+def drawn(folder: Path, table: str, low: float = 1.0, high: float = 9.0) -> list[float]:
+    """Return the sorted values of a factor with such a distribution."""
+    text = (
+        '\n[[factor]]\nname = "f"\nsetting = "layout.base.x_mm"\n'
+        f"low = {low}\nhigh = {high}\ndistribution = {{ {table} }}\n"
+    )
+    found = [each.choices[0].value for each in points(study(folder, text, MANY))]
+    assert all(isinstance(each, float) and low <= each <= high for each in found)
+    return sorted(float(str(each)) for each in found)
+
+
+@pytest.mark.parametrize(
+    ("table", "wanted"),
+    [
+        ('kind = "normal", mean = 4.0, sd = 1.5', stats.truncnorm(-2.0, 5 / 1.5, 4.0, 1.5)),
+        (
+            'kind = "lognormal", median = 3.0, ratio = 1.5',
+            stats.lognorm(np.log(1.5), scale=3.0),
+        ),
+        ('kind = "loguniform"', stats.loguniform(1.0, 9.0)),
+        ('kind = "triangular", mode = 2.0', stats.triang(0.125, 1.0, 8.0)),
+    ],
+    ids=["normal", "lognormal", "loguniform", "triangular"],
+)
+def test_a_sobol_design_follows_it(tmp_path: Path, table: str, wanted: stats.rv_continuous) -> None:
+    """Within 0.5 % everywhere, which 512 random draws would miss by far."""
+    found = np.array(drawn(tmp_path, table))
+    low, high = wanted.cdf(1.0), wanted.cdf(9.0)
+    shares = (wanted.cdf(found) - low) / (high - low)
+    assert np.abs(shares - (np.arange(512) + 0.5) / 512).max() < 0.005
+    assert found[0] == pytest.approx(1.0)
+
+
+def test_whole_numbers_stay_whole(tmp_path: Path) -> None:
+    text = factor(low=2, high=9, distribution={}).replace(
+        "{}", '{ kind = "normal", mean = 5, sd = 2.0 }'
+    )
+    values = [each.choices[0].value for each in points(study(tmp_path, text, MANY))]
+    assert set(values) == set(range(2, 10))
+    assert values.count(5) == pytest.approx(512 * 0.1974 / 0.9105, abs=3)  # within 0.25 sd
+
+
+def test_levels_have_weights(tmp_path: Path) -> None:
+    text = factor(levels=[2, 3, 5], weights=[1, 5, 2])
+    values = [each.choices[0].value for each in points(study(tmp_path, text, MANY))]
+    assert [values.count(level) for level in (2, 3, 5)] == [64, 320, 128]
+
+
+@pytest.mark.parametrize(
+    ("table", "key"),
+    [
+        ('kind = "norml", mean = 2, sd = 1', ".kind"),
+        ('kind = "normal", mean = 2', ".sd"),
+        ('kind = "normal", mean = 2, sd = 0.0', ".sd"),
+        ('kind = "normal", mean = 2, sd = 1, mode = 2', ".mode"),
+        ('kind = "normal", mean = 2, meddian = 1', ".meddian"),
+        ('kind = "normal", mean = 90, sd = 1.0', ""),
+        ('kind = "lognormal", median = 3, ratio = 1.0', ".ratio"),
+        ('kind = "triangular", mode = 12', ".mode"),
+        ('kind = "normal", mean = nan, sd = 1.0', ".mean"),
+    ],
+)
+def test_a_distribution_that_says_none(tmp_path: Path, table: str, key: str) -> None:
+    text = factor(low=2, high=9, distribution={}).replace("{}", f"{{ {table} }}")
+    assert f"factor[0].distribution{key}" in refused(tmp_path, text, MANY)
+
+
+@pytest.mark.parametrize(
+    ("given", "head", "key"),
+    [
+        ({"levels": [2, 5], "weights": [1]}, MANY, "weights"),
+        ({"levels": [2, 5], "weights": [1, -1]}, MANY, "weights[1]"),
+        ({"low": 2, "high": 5, "weights": [1, 2]}, MANY, "weights"),
+        ({"levels": [2, 5], "weights": [1, 2]}, "machines = 1", "weights"),
+    ],
+)
+def test_weights_that_say_nothing(
+    tmp_path: Path, given: dict[str, object], head: str, key: str
+) -> None:
+    assert refused(tmp_path, factor(**given), head) == [f"factor[0].{key}"]

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from functools import cache
 from pathlib import Path
-from typing import Any
 
 import pytest
 from msgspec.structs import replace
 
 from hilcell.cell.file import Cell
 from hilcell.study.analysis import answers
-from hilcell.study.case import CaseResult, decode_cell
+from hilcell.study.case import CaseResult
 from hilcell.study.cluster import ClusterError
 from hilcell.study.design import Case, cases
 from hilcell.study.html import page
 from hilcell.study.results import Results, open_results
-from hilcell.study.runner import run_study
 from hilcell.study.study_file import Study
 from hilcell.study.tables import Summary
-from tests.hilcell.study.studies import study
+from tests.hilcell.study.studies import Bench, performed, study
 from tests.hilcell.study.test_design import RANGES
 from tests.hilcell.study.test_study_file import factor, refused
 
@@ -29,39 +25,14 @@ HEAD = 'design = "optimise"\nmachines = 2\noptimise = { trials = 60, mm_per_minu
 LIMITED = HEAD.replace("mm_per_minute = 0.001", "most_minutes = 25.0")
 
 
-@cache
-def cell_in(content: bytes) -> Cell:
-    """Return the cell of a case; searches of one study ask for the same ones."""
-    return decode_cell(content)
-
-
-class Bench:
-    """Workers that know the truth: best at 1870 mm with sweeps; readings cost minutes."""
-
-    def __init__(self, most: int = 10**9, *, backwards: bool = False) -> None:
-        self.most, self.backwards, self.measured = most, backwards, list[int]()
-
-    def measure(self, waiting: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, CaseResult]]:
-        batch = list(waiting)
-        for case, cell in reversed(batch) if self.backwards else batch:
-            if len(self.measured) == self.most:
-                raise ClusterError("scheduler tcp://nowhere is gone")
-            self.measured.append(case.number)
-            yield case, truth(case, cell_in(cell))
-
-
 def truth(case: Case, cell: Cell) -> CaseResult:
+    """Best at 1870 mm with sweeps; readings cost minutes."""
     readings, x_mm = cell.layout.nest_samples, cell.grid.centre.x_mm
     error_mm = 0.1 + ((x_mm - 1870.0) / 100.0) ** 2 + 0.04 / readings + 0.01 * case.machine
     error_mm -= 0.05 * cell.sweeps.enabled
     minutes = 10.0 + 4.0 * readings
     figures = {"mean_mm": error_mm, "covered": 0.95, "targets": 50.0}
     return CaseResult("done", "", minutes, figures)
-
-
-def performed(results: Results, bench: Any) -> dict[str, int]:
-    with results.held():
-        return dict(run_study(results, bench, lambda _: None))
 
 
 def best(asked: Study, results: Results) -> dict[str, object]:
@@ -75,7 +46,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Results:
     """Return the results of a search that came to its end."""
     folder = tmp_path_factory.mktemp("search")
     results = Results(folder / "r", study(folder, FACTORS, HEAD))
-    performed(results, Bench())
+    performed(results, Bench(truth))
     return results
 
 
@@ -93,7 +64,7 @@ def test_a_limit_on_minutes_is_kept(tmp_path: Path) -> None:
     """Three readings take 22 minutes, four take 26."""
     asked = study(tmp_path, FACTORS, LIMITED)
     results = Results(tmp_path / "r", asked)
-    performed(results, Bench())
+    performed(results, Bench(truth))
     assert best(asked, results)["readings"] == 3
     assert Summary(asked, results.rows()).counts().endswith(" done")
 
@@ -101,7 +72,7 @@ def test_a_limit_on_minutes_is_kept(tmp_path: Path) -> None:
 def test_no_design_within_the_limit(tmp_path: Path) -> None:
     asked = study(tmp_path, FACTORS, LIMITED.replace("25.0", "5.0"))
     results = Results(tmp_path / "r", asked)
-    performed(results, Bench())
+    performed(results, Bench(truth))
     summary = Summary(asked, results.rows())
     assert summary.found.best is None
     assert [each.title for each in summary.tables().values() if each] == ["Pareto front"]
@@ -114,17 +85,13 @@ def test_no_design_within_the_limit(tmp_path: Path) -> None:
 def test_a_limit_that_none_of_the_first_points_keeps(tmp_path: Path) -> None:
     """All of them are too long, which is no agreement: the search goes on to shorter ones."""
 
-    class Slow(Bench):
-        def measure(
-            self, waiting: Iterable[tuple[Case, bytes]]
-        ) -> Iterator[tuple[Case, CaseResult]]:
-            for case, cell in waiting:
-                minutes = 10.0 + abs(cell_in(cell).grid.centre.x_mm - 1859.3)
-                yield case, replace(truth(case, cell_in(cell)), minutes=minutes)
+    def slow(case: Case, cell: Cell) -> CaseResult:
+        minutes = 10.0 + abs(cell.grid.centre.x_mm - 1859.3)
+        return replace(truth(case, cell), minutes=minutes)
 
     asked = study(tmp_path, FACTORS, LIMITED.replace("25.0", "12.0"))
     results = Results(tmp_path / "r", asked)
-    performed(results, Slow())
+    performed(results, Bench(slow))
     first = [row.figure("minutes") for row in results.rows()[: 2 * 12]]
     assert min(first) > 12.0
     assert best(asked, results)["x"] == pytest.approx(1859.3, abs=2.0)
@@ -137,7 +104,7 @@ def test_the_cases_that_are_listed_are_those_that_it_begins_with(tmp_path: Path)
     listed = list(cases(asked))
     assert len(listed) == 4 * 2
     results = Results(tmp_path / "r", asked)
-    performed(results, Bench())
+    performed(results, Bench(truth))
     rows = results.rows()
     wanted = [(case.number, *(each.shown for each in case.point.choices)) for case in listed]
     assert [(row.case, row.levels["f"], row.levels["g"]) for row in rows] == wanted
@@ -153,7 +120,7 @@ def test_all_points_have_the_same_machines(whole: Results) -> None:
 
 def test_the_order_of_answers_does_not_matter(tmp_path: Path, whole: Results) -> None:
     other = Results(tmp_path / "other", study(tmp_path, FACTORS, HEAD))
-    performed(other, Bench(backwards=True))
+    performed(other, Bench(truth, backwards=True))
     assert whole.table() == other.table()
 
 
@@ -161,30 +128,24 @@ def test_it_goes_on_where_it_was_stopped(tmp_path: Path, whole: Results) -> None
     asked = study(tmp_path, FACTORS, HEAD)
     results = Results(tmp_path / "r", asked)
     with pytest.raises(ClusterError):
-        performed(results, Bench(most=41))
-    rest = Bench()
+        performed(results, Bench(truth, most=41))
+    rest = Bench(truth)
     performed(Results(tmp_path / "r", asked), rest)
     assert results.table() == whole.table()
     assert len(rest.measured) == whole.table().num_rows - 41
     assert open_results(tmp_path / "r").study == asked
-    assert performed(results, again := Bench()) == {}
+    assert performed(results, again := Bench(truth)) == {}
     assert again.measured == []
 
 
 def test_a_point_that_cannot_be_is_not_the_best(tmp_path: Path) -> None:
-    class Picky(Bench):
-        def measure(
-            self, waiting: Iterable[tuple[Case, bytes]]
-        ) -> Iterator[tuple[Case, CaseResult]]:
-            for case, content in waiting:
-                cell = cell_in(content)
-                good = cell.grid.centre.x_mm < 1850.0 or case.machine == 1
-                failed = CaseResult("failed", "the beam broke")
-                yield case, truth(case, cell) if good else failed
+    def picky(case: Case, cell: Cell) -> CaseResult:
+        good = cell.grid.centre.x_mm < 1850.0 or case.machine == 1
+        return truth(case, cell) if good else CaseResult("failed", "the beam broke")
 
     asked = study(tmp_path, FACTORS, HEAD)
     results = Results(tmp_path / "r", asked)
-    counts = performed(results, Picky())
+    counts = performed(results, Bench(picky))
     assert counts["failed"] > 0
     assert best(asked, results)["x"] == pytest.approx(1850.0, abs=4.0)
 
