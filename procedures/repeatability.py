@@ -16,15 +16,7 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.changes import compared
-from hilcell.calibration.diagnosis import (
-    CLOSING,
-    REVISIT,
-    VERDICTS,
-    established,
-    overtaken,
-    revisits,
-    suspected_causes,
-)
+from hilcell.calibration.diagnosis import CLOSING, REVISIT, SecondVisits, suspected_causes
 from hilcell.calibration.grid import grid_of, vertex_ids
 from hilcell.calibration.lost_motion import REVERSAL, reversal
 from hilcell.cell.file import Cell
@@ -160,7 +152,6 @@ class Revisits:
     def __init__(self, *, at_end: bool = False) -> None:
         """``at_end``: the slide comes from the last station, back to the grid's."""
         self._kind, self.name = (CLOSING, "closing") if at_end else (REVISIT, "revisits")
-        self._verdict = VERDICTS[self._kind]
 
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Return the step: the grid's own has refused vertices out of reach."""
@@ -184,16 +175,17 @@ class Revisits:
                 session.flange_point(id, station, joints_rad, nominal_mm=nominal_mm, retake=again)
         session.close_step()
         newest = max(log.recorded(log.point(visit.id)) for visit in poses)
-        judged = log.judged.get(self._verdict)
+        judged = log.judged.get(SecondVisits(log, self._kind).verdict_key)
         if judged is None or judged.seq < newest:
             self._judge(session)
 
     def _judge(self, session: CellSession) -> None:
         lost_motion = reversal(session.log) if self._kind == REVISIT else None
-        found = revisits(session.log, self._kind)
+        second = SecondVisits(session.log, self._kind)
+        found = second.change()
         if lost_motion is not None:
             session.judge("reversal", lost_motion)
-        suspicion = established(session.log, self._kind) or found.suspicion
+        suspicion = second.recorded_cause or found.suspicion
         judged = Revisited(
             holds=found.holds and suspicion is None,
             ratio=found.ratio,
@@ -201,7 +193,7 @@ class Revisits:
             suspicion=suspicion,
             suspected=[] if suspicion is None else [suspicion.text],
         )
-        session.judge(self._verdict, judged)
+        session.judge(second.verdict_key, judged)
         if self._kind == CLOSING:
             judge_suspicions(session)
         elif found.suspicion is not None:
@@ -218,11 +210,10 @@ class Revisits:
         del figures["holds"]
         return {"reversal": figures}
 
-    @staticmethod
-    def _waits(log: Log, id: PointId) -> bool:
+    def _waits(self, log: Log, id: PointId) -> bool:
         """Whether a pose waits to be visited, or to be visited once more."""
         point = log.find(id)
-        return point is None or overtaken(log, point)
+        return point is None or SecondVisits(log, self._kind).is_overtaken(point)
 
 
 def visits(cell: Cell, kind: str) -> list[Visit]:

@@ -24,7 +24,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import chain, groupby, permutations
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from msgspec.structs import replace
@@ -83,7 +83,6 @@ from hilcell.journal.log import (
     commanded_rad,
     covariances_mm2,
     noise_at,
-    of_measured,
     positions_mm,
     repeated_visits,
     run_noise,
@@ -99,7 +98,6 @@ from hilcell.ports import Array, HilcellError
 # -- drift of the tracker --------------------------------------------------------------------------
 
 
-@of_measured
 def tracker_drift(log: Log) -> Suspicion | None:
     """Slow motion of the tracker beyond the stated drift, if any."""
     nests = [nest.name for nest in log.cell.layout.floor]
@@ -159,7 +157,7 @@ def _within(points: list[Point], at_mm: Array, share: Array) -> tuple[Array, Arr
 
 
 @dataclass(frozen=True, eq=False)
-class Series:
+class PoseSeries:
     """N poses of a run in order, in {B}: offsets (N, 3) from the model, covariances (N, 3, 3).
 
     Also joints (N, 6), progress (N,), warming (N,), number (N,) of the stop of the slide. ``holds``
@@ -178,6 +176,94 @@ class Series:
     freedom: float
     floor_mm: float
 
+    @classmethod
+    def of(cls, log: Log) -> Self | None:
+        """The poses of a run; None without a model, or with too few poses."""
+        calibration = learnt_so_far(log)
+        if calibration is None or calibration.uncertainty.missing:
+            return None
+        placed = sorted((p for p in log.points.values() if p.station), key=log.recorded)
+        runs = groupby(placed, key=lambda point: (point.station, point.set_up))
+        holds = [[p for p in points if cls._belongs(p)] for _, points in runs]
+        holds = [points for points in holds if points]
+        points = [point for hold in holds for point in hold]
+        least_poses = 30
+        if len(points) < least_poses:
+            return None
+        try:
+            repeats = Counter(map(cls._place, points))
+            rows = [cls._hold(log, calibration, hold, repeats) for hold in holds]
+        except HilcellError:  # a model that knows nothing of a pose beside its grid
+            return None
+        off_mm, covariance_mm2, priors = zip(*rows, strict=True)
+        share = _shares(log, points)
+        scatter_mm2, visits, places = visit_scatter(log, np.eye(3))
+        stated = log.cell.uncertainty
+        celsius = [p.temperature_c for p in points if p.temperature_c is not None]
+        warm_k = share * stated.air_range_k  # unknown without a weather station
+        if len(celsius) == len(points):
+            warm_k = np.array(celsius) - celsius[0]
+        return cls(
+            np.concatenate(off_mm),
+            np.concatenate(covariance_mm2),
+            commanded_rad(points),
+            share,
+            warm_k,
+            np.repeat(np.arange(len(holds), dtype=float), [len(hold) for hold in holds]),
+            np.array(priors),
+            stated.arm_growth_um_m_k * 1e-6,
+            3.0 * (visits - places),
+            float(np.sqrt(np.trace(scatter_mm2))),
+        )
+
+    @classmethod
+    def _hold(
+        cls,
+        log: Log,
+        calibration: Calibration,
+        points: list[Point],
+        repeats: Mapping[tuple[object, ...], int],
+    ) -> tuple[Array, Array, Array]:
+        """Offsets (N, 3) in {B} at one stop, covariances (N, 3, 3), and that of {B} (6, 6)."""
+        station = log.cell.station_named(points[0].station)
+        T_W_B = calibration.base(station.name)
+        T_B_L = inverse(T_W_B) @ log.matrix("world")
+        poses = forward(log.cell.robot.arm(), commanded_rad(points))
+        predicted = calibration.error_model().predict(poses)
+        off_mm = apply(T_B_L, positions_mm(points)) - poses[:, :3, 3] - predicted.error_mm
+        R = T_B_L[:3, :3]
+        noise = visit_noise(log)
+        noise_mm2 = noise.covariances(points, R)
+        model_mm2 = nearest_semidefinite(predicted.covariance_mm2 - R @ noise.robot_mm2 @ R.T)
+        shared = np.array([repeats[cls._place(point)] for point in points], dtype=float)
+        covariance_mm2 = noise_mm2 + shared[:, None, None] * model_mm2
+        return off_mm, covariance_mm2, cls._base_covariance(log, T_W_B, points[0])
+
+    @staticmethod
+    def _belongs(point: Point) -> bool:
+        """Whether a point is the tool point's at a pose approached from below."""
+        # Visits of three places alone are left out: the model's errors there are no noise.
+        kinds = ("grid", "revisit", "touch", "validate", "closing")
+        own = point.id.kind in kinds and point.id.seat is None and not point.id.side
+        return own and not point.id.axis and point.commanded_deg is not None
+
+    @staticmethod
+    def _place(point: Point) -> tuple[object, ...]:
+        """Key of the commanded place, where the model's error is the same."""
+        id = point.id
+        return ("vertex", id.vertex) if id.vertex else (id.kind, id.station, id.number)
+
+    @staticmethod
+    def _base_covariance(log: Log, T_W_B: Array, point: Point) -> Array:
+        """Uncertainty of {B} at one stop, (6, 6) in {B}: strip, station frame, tracker."""
+        cell, at_mm = log.cell, T_W_B[:3, 3]
+        drift_mm2 = rectangular_variance(cell.uncertainty.drift_limit_mm)
+        covariance = base_covariance(log, cell.station_named(point.station))
+        covariance[:3, :3] += hold_covariance(cell)
+        covariance += world_covariance(log, at_mm, drift_mm2) * (2.0 if point.set_up else 1.0)
+        turn = np.kron(np.eye(2), T_W_B[:3, :3].T)
+        return np.asarray(turn @ covariance @ turn.T)
+
     def nuisances(self, arm: Arm) -> tuple[Array, Array]:
         """Other motions of the poses, columns (N, 3, K), and their covariance (K, K)."""
         at_mm = forward(arm, self.joints_rad)[:, :3, 3]
@@ -193,151 +279,55 @@ class Series:
         prior[-1, -1] = rectangular_variance(self.growth_per_k)
         return columns, prior
 
+    def drift_cause(self, arm: Arm) -> Suspicion | None:
+        """The cause whose slope explains most, if significant and large enough."""
+        causes = patterns(arm, self.joints_rad)
+        whitening = np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance_mm2)), dtype=float)
+        white = (whitening @ self.off_mm[:, :, None]).ravel()
 
-@of_measured
-def robot_drift(log: Log) -> Suspicion | None:
-    series = pose_series(log)
-    return None if series is None else drift_cause(series, log.cell.robot.arm())
+        def whitened(columns: Array) -> Array:
+            return np.asarray((whitening @ columns).reshape(-1, columns.shape[-1]))
 
+        moves, known = self.nuisances(arm)
+        left = self._of_model(forward(arm, self.joints_rad)[:, :3, 3], causes)
+        B = whitened(np.dstack([moves, left]))
+        prior = np.eye(B.shape[1])
+        prior[: len(known), : len(known)] = known
+        kept = np.linalg.solve(np.eye(len(prior)) + prior @ B.T @ B, prior)
+        candidates = []
+        for cause in causes:
+            moved = cause.columns.reshape(len(self.share), 3, -1) * self.share[:, None, None]
+            D = whitened(moved)
+            across = B.T @ D
+            information = D.T @ D - across.T @ kept @ across
+            pull = D.T @ white - across.T @ kept @ (B.T @ white)
+            slopes = np.array(np.linalg.solve(information, pull), dtype=float)
+            explained, count = float(pull @ slopes), len(slopes)
+            limit = f_quantile(1.0 - RISK / len(causes), count, self.freedom)
+            moved_mm = rms(np.linalg.norm((cause.columns @ slopes).reshape(-1, 3), axis=1))
+            if explained > count * limit and moved_mm > self.floor_mm:
+                candidates.append((explained - PENALTY * count, cause, slopes))
+        if not candidates:
+            return None
+        _, cause, slopes = max(candidates, key=lambda each: each[0])
+        size = float(slopes[0]) if len(slopes) == 1 else float(np.linalg.norm(slopes))
+        unit = f"{cause.unit} over the run, as of {cause.cause}"
+        poses_in_order = "all poses of the run, in their order"
+        return Suspicion(Cause.DRIFT, cause.factor * size, unit, poses_in_order)
 
-def drift_cause(series: Series, arm: Arm) -> Suspicion | None:
-    """The cause whose slope explains most, if significant and large enough."""
-    causes = patterns(arm, series.joints_rad)
-    whitening = np.asarray(np.linalg.inv(np.linalg.cholesky(series.covariance_mm2)), dtype=float)
-    white = (whitening @ series.off_mm[:, :, None]).ravel()
+    @staticmethod
+    def _of_model(at_mm: Array, causes: list[Pattern]) -> Array:
+        """Possible smooth errors of the model, columns (N, 3, K) of 0.05 mm each.
 
-    def whitened(columns: Array) -> Array:
-        return np.asarray((whitening @ columns).reshape(-1, columns.shape[-1]))
-
-    moves, known = series.nuisances(arm)
-    left = _of_model(forward(arm, series.joints_rad)[:, :3, 3], causes)
-    B = whitened(np.dstack([moves, left]))
-    prior = np.eye(B.shape[1])
-    prior[: len(known), : len(known)] = known
-    kept = np.linalg.solve(np.eye(len(prior)) + prior @ B.T @ B, prior)
-    candidates = []
-    for cause in causes:
-        moved = cause.columns.reshape(len(series.share), 3, -1) * series.share[:, None, None]
-        D = whitened(moved)
-        across = B.T @ D
-        information = D.T @ D - across.T @ kept @ across
-        pull = D.T @ white - across.T @ kept @ (B.T @ white)
-        slopes = np.array(np.linalg.solve(information, pull), dtype=float)
-        explained, count = float(pull @ slopes), len(slopes)
-        limit = f_quantile(1.0 - RISK / len(causes), count, series.freedom)
-        moved_mm = rms(np.linalg.norm((cause.columns @ slopes).reshape(-1, 3), axis=1))
-        if explained > count * limit and moved_mm > series.floor_mm:
-            candidates.append((explained - PENALTY * count, cause, slopes))
-    if not candidates:
-        return None
-    _, cause, slopes = max(candidates, key=lambda each: each[0])
-    size = float(slopes[0]) if len(slopes) == 1 else float(np.linalg.norm(slopes))
-    unit = f"{cause.unit} over the run, as of {cause.cause}"
-    poses_in_order = "all poses of the run, in their order"
-    return Suspicion(Cause.DRIFT, cause.factor * size, unit, poses_in_order)
-
-
-def _of_model(at_mm: Array, causes: list[Pattern]) -> Array:
-    """Possible smooth errors of the model, columns (N, 3, K) of 0.05 mm each.
-
-    The causes' patterns, constant, and growing along x and z: poses are visited in an order, so
-    such an error resembles a slope.
-    """
-    alike = np.dstack([cause.columns.reshape(len(at_mm), 3, -1) for cause in causes])
-    along = (at_mm - at_mm.mean(axis=0))[:, None, [0, 2]] / np.ptp(at_mm, axis=0).max()
-    errors_mm = np.dstack([alike, alike * along[:, :, :1], alike * along[:, :, 1:]])
-    sizes = np.sqrt(np.square(errors_mm).sum(axis=1).mean(axis=0))
-    model_mm = 0.05  # root mean square over the poses
-    return np.asarray(model_mm * errors_mm / sizes)
-
-
-def pose_series(log: Log) -> Series | None:
-    """Poses of a run; None without a model, or with too few poses."""
-    calibration = learnt_so_far(log)
-    if calibration is None or calibration.uncertainty.missing:
-        return None
-    placed = sorted((p for p in log.points.values() if p.station), key=log.recorded)
-    runs = groupby(placed, key=lambda point: (point.station, point.set_up))
-    holds = [[p for p in points if _counts(p)] for _, points in runs]
-    holds = [points for points in holds if points]
-    points = [point for hold in holds for point in hold]
-    least_poses = 30
-    if len(points) < least_poses:
-        return None
-    try:
-        repeats = Counter(map(_place, points))
-        rows = [_hold(log, calibration, hold, repeats) for hold in holds]
-    except HilcellError:  # a model that knows nothing of a pose beside its grid
-        return None
-    off_mm, covariance_mm2, priors = zip(*rows, strict=True)
-    share = _shares(log, points)
-    scatter_mm2, visits, places = visit_scatter(log, np.eye(3))
-    stated = log.cell.uncertainty
-    return Series(
-        np.concatenate(off_mm),
-        np.concatenate(covariance_mm2),
-        commanded_rad(points),
-        share,
-        _warmer_k(points, share * stated.air_range_k),
-        np.repeat(np.arange(len(holds), dtype=float), [len(hold) for hold in holds]),
-        np.array(priors),
-        stated.arm_growth_um_m_k * 1e-6,
-        3.0 * (visits - places),
-        float(np.sqrt(np.trace(scatter_mm2))),
-    )
-
-
-def _warmer_k(points: list[Point], unknown_k: Array) -> Array:
-    """Warming (N,) since the first point; ``unknown_k`` without a weather station."""
-    celsius = [p.temperature_c for p in points if p.temperature_c is not None]
-    return unknown_k if len(celsius) < len(points) else np.array(celsius) - celsius[0]
-
-
-def _counts(point: Point) -> bool:
-    """Whether a point is the tool point's at a pose approached from below."""
-    # Visits of three places alone are left out: the model's errors there are no noise.
-    kinds = ("grid", "revisit", "touch", "validate", "closing")
-    own = point.id.kind in kinds and point.id.seat is None and not point.id.side
-    return own and not point.id.axis and point.commanded_deg is not None
-
-
-def _place(point: Point) -> tuple[object, ...]:
-    """Key of the commanded place, where the model's error is the same."""
-    id = point.id
-    return ("vertex", id.vertex) if id.vertex else (id.kind, id.station, id.number)
-
-
-def _hold(
-    log: Log,
-    calibration: Calibration,
-    points: list[Point],
-    repeats: Mapping[tuple[object, ...], int],
-) -> tuple[Array, Array, Array]:
-    """Offsets (N, 3) in {B} at one stop, covariances (N, 3, 3), and that of {B} (6, 6)."""
-    station = log.cell.station_named(points[0].station)
-    T_W_B = calibration.base(station.name)
-    T_B_L = inverse(T_W_B) @ log.matrix("world")
-    poses = forward(log.cell.robot.arm(), commanded_rad(points))
-    predicted = calibration.error_model().predict(poses)
-    off_mm = apply(T_B_L, positions_mm(points)) - poses[:, :3, 3] - predicted.error_mm
-    R = T_B_L[:3, :3]
-    noise = visit_noise(log)
-    noise_mm2 = noise.covariances(points, R)
-    model_mm2 = nearest_semidefinite(predicted.covariance_mm2 - R @ noise.robot_mm2 @ R.T)
-    shared = np.array([repeats[_place(point)] for point in points], dtype=float)
-    covariance_mm2 = noise_mm2 + shared[:, None, None] * model_mm2
-    return off_mm, covariance_mm2, _placed(log, T_W_B, points[0])
-
-
-def _placed(log: Log, T_W_B: Array, point: Point) -> Array:
-    """Uncertainty of {B} at one stop, (6, 6) in {B}: strip, station frame, tracker."""
-    cell, at_mm = log.cell, T_W_B[:3, 3]
-    drift_mm2 = rectangular_variance(cell.uncertainty.drift_limit_mm)
-    covariance = base_covariance(log, cell.station_named(point.station))
-    covariance[:3, :3] += hold_covariance(cell)
-    covariance += world_covariance(log, at_mm, drift_mm2) * (2.0 if point.set_up else 1.0)
-    turn = np.kron(np.eye(2), T_W_B[:3, :3].T)
-    return np.asarray(turn @ covariance @ turn.T)
+        The causes' patterns, constant, and growing along x and z: poses are visited in an order, so
+        such an error resembles a slope.
+        """
+        alike = np.dstack([cause.columns.reshape(len(at_mm), 3, -1) for cause in causes])
+        along = (at_mm - at_mm.mean(axis=0))[:, None, [0, 2]] / np.ptp(at_mm, axis=0).max()
+        errors_mm = np.dstack([alike, alike * along[:, :, :1], alike * along[:, :, 1:]])
+        sizes = np.sqrt(np.square(errors_mm).sum(axis=1).mean(axis=0))
+        model_mm = 0.05  # root mean square over the poses
+        return np.asarray(model_mm * errors_mm / sizes)
 
 
 # -- ambient temperature ---------------------------------------------------------------------------
@@ -351,13 +341,13 @@ def reference_c(log: Log) -> float | None:
     return next((p.temperature_c for p in points if p.temperature_c is not None), None)
 
 
-def warm(log: Log) -> Suspicion | None:
-    """Change of ambient temperature, where points that count exceed its limit."""
+def temperature_change(log: Log) -> Suspicion | None:
+    """Change of ambient temperature beyond its limit, at points other than the controls."""
     then_c = reference_c(log)
     if then_c is None:
         return None
-    counted = (p for p in log.points.values() if p.id.group != CONTROL)
-    off_k = [p.temperature_c - then_c for p in counted if p.temperature_c is not None]
+    points = (p for p in log.points.values() if p.id.group != CONTROL)
+    off_k = [p.temperature_c - then_c for p in points if p.temperature_c is not None]
     worst_k = max(off_k, key=abs, default=0.0)
     if abs(worst_k) <= log.cell.room.range_k:
         return None
@@ -407,8 +397,6 @@ def _balls(off_mm: Array) -> str:
 # instrument itself does: a rotation of {B} about z, that axis 6's small circle leaves open,
 # resembles a reflector that is mounted sideways.
 
-CIRCLE, CONSTANT = "circle of axis 6", "constant error in the tool's frame"
-
 
 def mount_offset(log: Log) -> Suspicion | None:
     frame, arm = log.frames.get("base"), log.cell.robot.arm()
@@ -421,7 +409,7 @@ def mount_offset(log: Log) -> Suspicion | None:
         last = matrix(turn, np.array([arm.a_mm[5], 0.0, 0.0])) @ arm.tool
         off_mm = abs(frame.radius_mm[1] - float(np.hypot(last[0, 3], last[1, 3])))
         if not off_mm <= np.hypot(most_radius_mm, sigmas * np.sqrt(radius_mm2)):
-            return Suspicion(Cause.MOUNT_OFFSET, off_mm, "mm", CIRCLE)
+            return Suspicion(Cause.MOUNT_OFFSET, off_mm, "mm", "circle of axis 6")
     points = log.select("grid")
     if not points:
         return None
@@ -436,7 +424,8 @@ def mount_offset(log: Log) -> Suspicion | None:
     covariance = (mount_mm2 + systematic) * np.eye(3) + J @ of_base @ J.T
     if off @ np.linalg.solve(covariance, off) <= sigmas**2:
         return None
-    return Suspicion(Cause.MOUNT_OFFSET, float(np.linalg.norm(off)), "mm", CONSTANT)
+    noticed_by = "constant error in the tool's frame"
+    return Suspicion(Cause.MOUNT_OFFSET, float(np.linalg.norm(off)), "mm", noticed_by)
 
 
 def _by_circles(log: Log) -> tuple[Array, float]:
@@ -460,111 +449,119 @@ def _by_circles(log: Log) -> tuple[Array, float]:
 # -- poses that were visited again, and corrected targets ------------------------------------------
 
 REVISIT, CLOSING = "revisit", "closing"  # kinds of points: after the grid, and in the end
-VERDICTS = {REVISIT: "revisits", CLOSING: "revisits.closing"}  # their keys in the journal
 
 
-def established(log: Log, kind: str) -> Suspicion | None:
-    """Cause shown by earlier re-visits: points in between are of a changed robot."""
-    kept = log.verdict(Revisited, VERDICTS[kind])
-    return None if kept is None else kept.suspicion
+@dataclass(frozen=True, eq=False)
+class SecondVisits:
+    """Poses visited again, points of one ``kind``, compared with their first visits."""
+
+    log: Log
+    kind: str
+
+    @property
+    def verdict_key(self) -> str:
+        return {REVISIT: "revisits", CLOSING: "revisits.closing"}[self.kind]
+
+    @property
+    def recorded_cause(self) -> Suspicion | None:
+        """Cause shown by earlier re-visits: points in between are of a changed robot."""
+        kept = self.log.verdict(Revisited, self.verdict_key)
+        return None if kept is None else kept.suspicion
+
+    @property
+    def cause(self) -> Suspicion | None:
+        return (self.recorded_cause or self.change().suspicion) if self.points else None
+
+    @property
+    def points(self) -> list[Point]:
+        """In the order of their first readings. A pose whose first reading was replaced later
+        counts only after another visit.
+        """
+        recorded = self.log.recorded
+        points = [p for p in self.log.select(self.kind) if self._first(p) < recorded(p)]
+        return sorted(points, key=self._first)
+
+    def is_overtaken(self, point: Point) -> bool:
+        """Whether anything was measured after the visit of a pose that is to verify it. At the end,
+        anything except verifications; after the grid, the pose's first reading.
+        """
+        if self.kind != CLOSING:
+            return self._first(point) > self.log.recorded(point)
+        others = self.log.last_recorded(besides=(CLOSING, *VERIFICATION_KINDS, *CHECKS))
+        return others > self.log.recorded(point)
+
+    def _first(self, point: Point) -> int:
+        return self.log.recorded(self._before(point))
+
+    def _before(self, point: Point) -> Point:
+        return self.log.point(replace(point.id, kind="base" if point.id.axis else "grid"))
+
+    def change(self) -> Change:
+        names = {REVISIT: "re-visited poses", CLOSING: "vertices re-visited at the end"}
+        return changed(self._differences(), self.log.cell.robot.arm(), names[self.kind])
+
+    def _differences(self) -> Differences:
+        log, now = self.log, self.points
+        before = [self._before(point) for point in now]
+        T_B_W = inverse(log.matrix("base"))
+        T_B_L = T_B_W @ log.matrix("world")
+        at_mm = apply(T_B_L, positions_mm(now))
+        _, visits, places = visit_scatter(log, T_B_L[:3, :3])
+        noise = visit_noise(log)
+        visits_mm2 = [noise.covariances(points, T_B_L[:3, :3]) for points in (before, now)]
+        common = np.array(motion(rectangular_variance(log.cell.uncertainty.drift_limit_mm)))
+        grown = growth_since(log, before, now, "the first visits")
+        if grown is not None:
+            common += grown.covariance
+        R = T_B_W[:3, :3]
+        if self.kind == CLOSING:  # the slide has left the station, and come back
+            common += np.array(motion(R @ hold_covariance(log.cell) @ R.T))
+        J = motion_levers(at_mm).reshape(-1, SIZE)
+        covariance_mm2 = block_diagonal(np.sum(visits_mm2, axis=0)) + J @ common @ J.T
+        elsewhere = np.repeat([p.set_up != q.set_up for p, q in zip(before, now, strict=True)], 3)
+        if elsewhere.any():
+            framed = J * elsewhere[:, None]
+            covariance_mm2 += framed @ self._framed_again(R) @ framed.T
+        return Differences(
+            at_mm - apply(T_B_L, positions_mm(before)),
+            covariance_mm2,
+            commanded_rad(now),
+            3.0 * (visits - places),
+            R @ np.array(log.cell.layout.rail_direction),
+            [len(now)] if self.kind == CLOSING else self._moments(before),
+        )
+
+    @staticmethod
+    def _moments(before: list[Point]) -> list[int]:
+        """Candidate moments of a change, as numbers of first visits before it.
+
+        A few over the grid, the first right after the base frame: each adds a chance of a false
+        alarm, and neighbours hardly differ.
+        """
+        of_base = sum(point.id.kind == "base" for point in before)
+        moments = 5  # of the grid at which a change may have come
+        return [*np.unique(np.linspace(max(of_base, 1), len(before), moments).astype(int)).tolist()]
+
+    def _framed_again(self, R: Array) -> Array:
+        """Covariance (7, 7) in {B} of one set-up's {W} in another's; ``R`` (3, 3) rotates from {W}.
+        Both rest on readings of the floor nests, of a tracker that drifts.
+        """
+        drift_mm2 = rectangular_variance(self.log.cell.uncertainty.drift_limit_mm)
+        turn = np.kron(np.eye(2), R)
+        covariance = np.zeros((SIZE, SIZE))
+        at_mm = self.log.matrix("base")[:3, 3]
+        covariance[:6, :6] = 2.0 * turn @ world_covariance(self.log, at_mm, drift_mm2) @ turn.T
+        return covariance
 
 
-def revisited(log: Log, kind: str) -> list[Point]:
-    """Points of poses visited again, in the order of their first readings. A pose whose first
-    reading was replaced later counts only after another visit.
-    """
-    points = [point for point in log.select(kind) if _first(log, point) < log.recorded(point)]
-    return sorted(points, key=lambda point: _first(log, point))
-
-
-def overtaken(log: Log, point: Point) -> bool:
-    """Whether anything was measured after the visit of a pose that is to verify it. At the end,
-    anything except verifications; after the grid, the pose's first reading.
-    """
-    if point.id.kind != CLOSING:
-        return _first(log, point) > log.recorded(point)
-    return log.last_recorded(besides=(CLOSING, *VERIFICATION_KINDS, *CHECKS)) > log.recorded(point)
-
-
-def _first(log: Log, point: Point) -> int:
-    return log.recorded(_before(log, point))
-
-
-def _before(log: Log, point: Point) -> Point:
-    return log.point(replace(point.id, kind="base" if point.id.axis else "grid"))
-
-
-@of_measured
-def revisits(log: Log, kind: str) -> Change:
-    """Compare poses that were visited again with their first visits."""
-    names = {REVISIT: "re-visited poses", CLOSING: "vertices re-visited at the end"}
-    return changed(_differences(log, kind), log.cell.robot.arm(), names[kind])
-
-
-def _differences(log: Log, kind: str) -> Differences:
-    now = revisited(log, kind)
-    before = [_before(log, point) for point in now]
-    T_B_W = inverse(log.matrix("base"))
-    T_B_L = T_B_W @ log.matrix("world")
-    at_mm = apply(T_B_L, positions_mm(now))
-    _, visits, places = visit_scatter(log, T_B_L[:3, :3])
-    noise = visit_noise(log)
-    visits_mm2 = [noise.covariances(points, T_B_L[:3, :3]) for points in (before, now)]
-    common = np.array(motion(rectangular_variance(log.cell.uncertainty.drift_limit_mm)))
-    grown = growth_since(log, before, now, "the first visits")
-    if grown is not None:
-        common += grown.covariance
-    R = T_B_W[:3, :3]
-    if kind == CLOSING:  # the slide has left the station, and come back
-        common += np.array(motion(R @ hold_covariance(log.cell) @ R.T))
-    J = motion_levers(at_mm).reshape(-1, SIZE)
-    covariance_mm2 = block_diagonal(np.sum(visits_mm2, axis=0)) + J @ common @ J.T
-    elsewhere = np.repeat([p.set_up != q.set_up for p, q in zip(before, now, strict=True)], 3)
-    if elsewhere.any():
-        framed = J * elsewhere[:, None]
-        covariance_mm2 += framed @ _framed_again(log, R) @ framed.T
-    return Differences(
-        at_mm - apply(T_B_L, positions_mm(before)),
-        covariance_mm2,
-        commanded_rad(now),
-        3.0 * (visits - places),
-        R @ np.array(log.cell.layout.rail_direction),
-        [len(now)] if kind == CLOSING else _moments(before),
-    )
-
-
-def _moments(before: list[Point]) -> list[int]:
-    """Candidate moments of a change, as numbers of first visits before it.
-
-    A few over the grid, the first right after the base frame: each adds a chance of a false alarm,
-    and neighbours hardly differ.
-    """
-    of_base = sum(point.id.kind == "base" for point in before)
-    moments = 5  # of the grid at which a change may have come
-    return [*np.unique(np.linspace(max(of_base, 1), len(before), moments).astype(int)).tolist()]
-
-
-def _framed_again(log: Log, R: Array) -> Array:
-    """Covariance (7, 7) in {B} of one set-up's {W} in another's, ``R`` (3, 3) rotating from {W}.
-    Both rest on readings of the floor nests, of a tracker that drifts.
-    """
-    drift_mm2 = rectangular_variance(log.cell.uncertainty.drift_limit_mm)
-    turn = np.kron(np.eye(2), R)
-    covariance = np.zeros((SIZE, SIZE))
-    at_mm = log.matrix("base")[:3, 3]
-    covariance[:6, :6] = 2.0 * turn @ world_covariance(log, at_mm, drift_mm2) @ turn.T
-    return covariance
-
-
-def _of_targets(log: Log, fit: int) -> list[Suspicion]:
-    calibration = learnt_so_far(log)
-    if calibration is None:
+def uncovered_targets(log: Log) -> list[Suspicion]:
+    """Stations whose corrected targets are too often outside of their bounds."""
+    calibration, fitted = learnt_so_far(log), log.verdict(Fitted)
+    if calibration is None or fitted is None:
         return []
-    fitted = log.verdict(Fitted)
-    curves = fitted is not None and fitted.curves.used
     least_inside = 0.82  # of corrected targets, within bounds that 95 % should keep
     least_without_curves = 0.6  # where the gears' ripple is not known: 0.73 was seen
-    least = least_inside if curves else least_without_curves
+    least = least_inside if fitted.curves.used else least_without_curves
     suspicions = []
     validation = "validation"
     for name in (station.name for station in log.cell.station):
@@ -596,7 +593,7 @@ def _of_targets(log: Log, fit: int) -> list[Suspicion]:
 # -- scatter, and all comparisons together ---------------------------------------------------------
 
 
-class Deviations(NamedTuple):
+class TargetDeviations(NamedTuple):
     """Deviations (N, 3) of targets from their station's mean, in {W}, and covariances (N, 3, 3).
     Columns (N, 3, K) of axes in mm / rad, and the covariances' degrees of freedom.
     """
@@ -606,11 +603,58 @@ class Deviations(NamedTuple):
     columns: Array
     freedom: float
 
+    @classmethod
+    def of(cls, log: Log) -> Self | None:
+        """Deviations of the corrected targets; None without targets or bound."""
+        calibration = learnt_so_far(log)
+        if calibration is None:
+            return None
+        parts, arm = [], log.cell.robot.arm()
+        for name in (station.name for station in log.cell.station):
+            try:
+                validation = validated_bounds(calibration, log, name)
+            except NoBound:  # the report states why
+                return None
+            if validation is None or len(validation[0]) < 2:
+                continue
+            errors, bounds = validation
+            R = calibration.base(name)[:3, :3]
+            joints_rad = commanded_rad(validation_points(log, name))
+            J = zero_columns(arm, joints_rad)
+            covariance_mm2 = bounds.covariance_mm2
+            traces = [np.trace(each.covariance_mm2, axis1=1, axis2=2) for each in bounds.parts]
+            freedom = effective_freedom(traces, [each.freedom for each in bounds.parts])
+            off_mm = errors.error_mm - errors.error_mm.mean(axis=0)
+            parts.append(cls(off_mm, covariance_mm2, R @ J[:, :, :LARGE_AXES], freedom.min()))
+        if not parts:
+            return None
+        offs_mm, covariances_mm2, columns, freedoms = zip(*parts, strict=True)
+        return cls(
+            np.concatenate(offs_mm), np.concatenate(covariances_mm2), np.concatenate(columns),
+            float(min(freedoms)),
+        )  # fmt: skip
 
-def scattered(log: Log) -> Suspicion | None:
-    """A repeatability worse than the run's own, shown by the corrected targets."""
-    deviations = log.once_measured(target_deviations)
-    return None if deviations is None else worst_scatter(deviations)
+    def worst_scatter(self) -> Suspicion | None:
+        """Result of the test farthest beyond its limit; None where chance explains all."""
+        off_mm, columns = self.off_mm, self.columns
+        weighted = np.linalg.solve(self.covariance_mm2, np.dstack([off_mm, columns]))
+        count, axes = len(off_mm), columns.shape[2]
+        limit = SPREAD * f_quantile(1.0 - RISK, 3 * count, self.freedom)
+        ratio = float(np.einsum("ni,ni->", off_mm, weighted[:, :, 0])) / (3 * count)
+        tests = [(ratio, limit, rms(np.linalg.norm(off_mm, axis=1)), "mm")]
+        along = np.einsum("nik,ni->nk", columns, weighted[:, :, 0])
+        information = np.einsum("nik,nik->nk", columns, weighted[:, :, 1:])
+        directions = 3  # of a covariance: one of them has a third of its degrees of freedom
+        limit = SPREAD * f_quantile(1.0 - RISK / axes, count, self.freedom / directions)
+        for axis in range(axes):
+            known = information[:, axis] > 0.0
+            ratio = float(np.mean(along[known, axis] ** 2 / information[known, axis]))
+            excess_rad = np.sqrt(max(0.0, ratio - 1.0) / information[known, axis].mean())
+            tests.append((ratio, limit, float(np.degrees(excess_rad)), f"deg of axis {axis + 1}"))
+        ratio, limit, size, unit = max(tests, key=lambda test: test[0] / test[1])
+        if ratio <= limit:
+            return None
+        return Suspicion(Cause.REPEATABILITY, size, unit, "scatter of the corrected targets")
 
 
 def worse_than_stated(log: Log) -> Suspicion | None:
@@ -634,71 +678,6 @@ def worse_than_stated(log: Log) -> Suspicion | None:
     return Suspicion(Cause.REPEATABILITY, size_mm, "mm", noticed_by)
 
 
-def target_deviations(log: Log) -> Deviations | None:
-    """Deviations of the corrected targets; None without targets or bound."""
-    calibration = learnt_so_far(log)
-    if calibration is None:
-        return None
-    parts, arm = [], log.cell.robot.arm()
-    for name in (station.name for station in log.cell.station):
-        try:
-            validation = validated_bounds(calibration, log, name)
-        except NoBound:  # the report states why
-            return None
-        if validation is None or len(validation[0]) < 2:
-            continue
-        errors, bounds = validation
-        R = calibration.base(name)[:3, :3]
-        joints_rad = commanded_rad(validation_points(log, name))
-        J = zero_columns(arm, joints_rad)
-        covariance_mm2 = bounds.covariance_mm2
-        traces = [np.trace(each.covariance_mm2, axis1=1, axis2=2) for each in bounds.parts]
-        freedom = effective_freedom(traces, [each.freedom for each in bounds.parts])
-        off_mm = errors.error_mm - errors.error_mm.mean(axis=0)
-        parts.append(Deviations(off_mm, covariance_mm2, R @ J[:, :, :LARGE_AXES], freedom.min()))
-    if not parts:
-        return None
-    offs_mm, covariances_mm2, columns, freedoms = zip(*parts, strict=True)
-    return Deviations(
-        np.concatenate(offs_mm), np.concatenate(covariances_mm2), np.concatenate(columns),
-        float(min(freedoms)),
-    )  # fmt: skip
-
-
-def worst_scatter(deviations: Deviations) -> Suspicion | None:
-    """Result of the test farthest beyond its limit; None where chance explains all."""
-    off_mm, columns = deviations.off_mm, deviations.columns
-    weighted = np.linalg.solve(deviations.covariance_mm2, np.dstack([off_mm, columns]))
-    count, axes = len(off_mm), columns.shape[2]
-    limit = SPREAD * f_quantile(1.0 - RISK, 3 * count, deviations.freedom)
-    ratio = float(np.einsum("ni,ni->", off_mm, weighted[:, :, 0])) / (3 * count)
-    tests = [(ratio, limit, rms(np.linalg.norm(off_mm, axis=1)), "mm")]
-    along = np.einsum("nik,ni->nk", columns, weighted[:, :, 0])
-    information = np.einsum("nik,nik->nk", columns, weighted[:, :, 1:])
-    directions = 3  # of a covariance: one of them has a third of its degrees of freedom
-    limit = SPREAD * f_quantile(1.0 - RISK / axes, count, deviations.freedom / directions)
-    for axis in range(axes):
-        known = information[:, axis] > 0.0
-        ratio = float(np.mean(along[known, axis] ** 2 / information[known, axis]))
-        excess_rad = np.sqrt(max(0.0, ratio - 1.0) / information[known, axis].mean())
-        tests.append((ratio, limit, float(np.degrees(excess_rad)), f"deg of axis {axis + 1}"))
-    ratio, limit, size, unit = max(tests, key=lambda test: test[0] / test[1])
-    if ratio <= limit:
-        return None
-    return Suspicion(Cause.REPEATABILITY, size, unit, "scatter of the corrected targets")
-
-
-def _again(log: Log, kind: str) -> Suspicion | None:
-    if not revisited(log, kind):
-        return None
-    return established(log, kind) or revisits(log, kind).suspicion
-
-
-def _targets(log: Log) -> list[Suspicion]:
-    fit = log.judged.get("fit")
-    return [] if fit is None else log.once_measured(_of_targets, fit.seq)
-
-
 def suspected_causes(log: Log) -> list[Suspicion]:
     """Causes that a run's journal suspects.
 
@@ -709,19 +688,30 @@ def suspected_causes(log: Log) -> list[Suspicion]:
     alone = [
         scale(log),
         axis_off(log),
-        warm(log),
+        temperature_change(log),
         misplaced_base(log),
         nest,
         since_before(log, with_base=nest is None),
         worse_than_stated(log),
     ]
-    changed = _again(log, REVISIT) or _again(log, CLOSING)
+    changed = SecondVisits(log, REVISIT).cause or SecondVisits(log, CLOSING).cause
     large = [
-        log.once_measured(mount_offset),
+        mount_offset(log),
         lost_too_much(log),
-        *([changed] if changed else _targets(log)),
+        *([changed] if changed else uncovered_targets(log)),
     ]
     slow = None
     if all(each is None or each.cause is Cause.UNKNOWN for each in large):
-        slow = tracker_drift(log) or scattered(log) or robot_drift(log)
+        slow = tracker_drift(log) or _scatter(log) or _robot_drift(log)
     return [each for each in (*alone, *large, slow) if each is not None]
+
+
+def _scatter(log: Log) -> Suspicion | None:
+    """A repeatability worse than the run's own, shown by the corrected targets."""
+    deviations = TargetDeviations.of(log)
+    return None if deviations is None else deviations.worst_scatter()
+
+
+def _robot_drift(log: Log) -> Suspicion | None:
+    series = PoseSeries.of(log)
+    return None if series is None else series.drift_cause(log.cell.robot.arm())

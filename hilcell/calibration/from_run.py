@@ -106,14 +106,7 @@ def calibration_so_far(log: Log, run: str) -> Calibration | None:
 
 
 def learnt_so_far(log: Log) -> Calibration | None:
-    """The calibration as learnt, possibly without later verdicts."""
-    if not _fitted(log):
-        return None
-    return log.once_measured(_learnt, log.judged["fit"].seq)
-
-
-def _learnt(log: Log, fit: int) -> Calibration:
-    return calibration_from_log(log, "")
+    return calibration_from_log(log, "") if _fitted(log) else None
 
 
 def _fitted(log: Log) -> bool:

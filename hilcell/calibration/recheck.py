@@ -236,10 +236,7 @@ class RecheckErrors:
 
     def judgement(self) -> Judgement:
         """Judge the errors; raises `HilcellError` for too few, or not finite."""
-        bumped_mm, bumped_rad = (
-            1.0,
-            1e-3,
-        )  # 1 sigma of a base that was moved, before any pose says so
+        bumped_mm, bumped_rad = 1.0, 1e-3  # 1 sigma of a moved base, before any pose says so
         count = len(self.errors_mm)
         if not count >= FEWEST:
             problem = f"re-check: {counted(count, 'pose')}, expected at least {FEWEST}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hilcell.calibration.diagnosis import CLOSING, REVISIT, overtaken, revisited, revisits
+from hilcell.calibration.diagnosis import CLOSING, REVISIT, SecondVisits
 from hilcell.calibration.lost_motion import REVERSAL
 from hilcell.cell.file import Cell, load_cell
 from hilcell.journal.journal import Record
@@ -97,23 +97,24 @@ def re_measured(log: Log, records: list[Record], key: str, off_mm: float = 0.0) 
 
 
 def overtaken_of(log: Log, *kinds: str) -> list[Point]:
-    return [point for kind in kinds for point in log.select(kind) if overtaken(log, point)]
+    seconds = [SecondVisits(log, kind) for kind in kinds]
+    return [p for each in seconds for p in log.select(each.kind) if each.is_overtaken(p)]
 
 
 def test_a_vertex_is_compared_with_a_later_visit_only(records: list[Record]) -> None:
     """A vertex that was re-measured after it was visited again has changed behind that visit."""
     judged = next(n for n, each in enumerate(records, 1) if each.key == "revisits")
     log = Log(records[:judged])
-    before = len(revisited(log, REVISIT))
+    before = len(SecondVisits(log, REVISIT).points)
     assert overtaken_of(log, REVISIT, REVERSAL) == []
     re_measured(log, records, "grid/1-1-0", off_mm=1.0)
-    assert revisits(log, REVISIT).suspicion is None
-    assert len(revisited(log, REVISIT)) == before - 1
+    assert SecondVisits(log, REVISIT).change().suspicion is None
+    assert len(SecondVisits(log, REVISIT).points) == before - 1
     assert {point.id.vertex for point in overtaken_of(log, REVISIT, REVERSAL)} == {VERTEX}
     re_measured(log, records, "revisit/1-1-0", off_mm=1.0)
-    assert [point.id.vertex for point in revisited(log, REVISIT)][-1] == VERTEX
+    assert [point.id.vertex for point in SecondVisits(log, REVISIT).points][-1] == VERTEX
     assert {point.id.kind for point in overtaken_of(log, REVISIT, REVERSAL)} == {REVERSAL}
-    assert revisits(log, REVISIT).suspicion is None
+    assert SecondVisits(log, REVISIT).change().suspicion is None
 
 
 def test_whatever_is_measured_after_the_closing_visits_overtakes_them(

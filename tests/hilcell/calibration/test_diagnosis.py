@@ -11,11 +11,10 @@ from msgspec.structs import replace
 
 from hilcell.calibration.causes import LARGE_AXES, patterns, zero_columns
 from hilcell.calibration.diagnosis import (
-    Deviations,
+    TargetDeviations,
     misplaced_base,
     suspected_causes,
     worse_than_stated,
-    worst_scatter,
 )
 from hilcell.calibration.frames import world_motion
 from hilcell.calibration.lost_motion import REVERSAL
@@ -179,7 +178,8 @@ def scatter(
     slips_rad = np.radians(slip_deg) * rng.standard_normal(COUNT)
     off_mm += COLUMNS[:, :, axis - 1] * slips_rad[:, None]
     covariance_mm2 = np.tile(known_mm2 * np.eye(3), (COUNT, 1, 1))
-    return worst_scatter(Deviations(off_mm - off_mm.mean(axis=0), covariance_mm2, COLUMNS, VISITS))
+    off_mm -= off_mm.mean(axis=0)
+    return TargetDeviations(off_mm, covariance_mm2, COLUMNS, VISITS).worst_scatter()
 
 
 def test_chance_is_no_scatter() -> None:

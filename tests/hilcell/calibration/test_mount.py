@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.diagnosis import CIRCLE, CONSTANT, mount_offset
+from hilcell.calibration.diagnosis import mount_offset
 from hilcell.calibration.position_errors import position_errors
 from hilcell.geometry.kinematics import forward
 from hilcell.journal.journal import read_journal
@@ -73,7 +73,7 @@ def test_an_undisturbed_mount_seen_by_a_coarse_instrument_is_not_suspected(coars
 def test_a_slip_of_five_sigma_is_seen_by_a_coarse_instrument(coarse: Log, sign: float) -> None:
     found = mount_offset(off(coarse, sign * 5.0 * SIGMA_MM * SIDEWAYS))
     assert found is not None
-    assert (found.cause, found.noticed_by) == ("mount offset", CONSTANT)
+    assert (found.cause, found.noticed_by) == ("mount offset", "constant error in the tool's frame")
     assert found.size == pytest.approx(5.0 * SIGMA_MM, abs=0.001)
     assert mount_offset(off(coarse, 3.1 * SIGMA_MM * SIDEWAYS)) is not None
     assert mount_offset(off(coarse, 2.9 * SIGMA_MM * SIDEWAYS)) is None
@@ -96,5 +96,5 @@ def test_the_circle_of_axis_6_shows_a_radius_that_is_not_stated(fine: Log, sign:
     found = mount_offset(wide(fine, 2.01 * sign))
     assert found is not None
     assert found.size == pytest.approx(2.01)
-    assert found.noticed_by == CIRCLE
+    assert found.noticed_by == "circle of axis 6"
     assert mount_offset(wide(fine, 1.99 * sign)) is None

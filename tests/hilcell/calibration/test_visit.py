@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.diagnosis import REVISIT, revisited, revisits
+from hilcell.calibration.diagnosis import REVISIT, SecondVisits
 from hilcell.calibration.file import (
     Calibration,
     TargetPass,
@@ -176,17 +176,17 @@ def test_two_visits_of_other_poses_differ_as_their_covariance_states() -> None:
 
 
 def test_an_unchanged_robot_is_not_suspected_by_a_coarse_instrument(log: Log) -> None:
-    assert revisits(by_a_total_station(log, 2), REVISIT).holds
+    assert SecondVisits(by_a_total_station(log, 2), REVISIT).change().holds
 
 
 def test_a_shift_across_the_beam_is_noticed_by_a_coarse_instrument(log: Log) -> None:
     by_a_total_station(log, 1)
-    for each in revisited(log, REVISIT):
+    for each in SecondVisits(log, REVISIT).points:
         beam = np.array(each.xyz_mm) / np.linalg.norm(each.xyz_mm)
         across = np.cross(beam, [0.0, 0.0, 1.0])
         moved = np.array(each.xyz_mm) + 0.3 * across / np.linalg.norm(across)
         log.points[each.key] = msgspec.structs.replace(each, xyz_mm=tuple(moved.tolist()))
-    assert not revisits(log, REVISIT).holds
+    assert not SecondVisits(log, REVISIT).change().holds
 
 
 def test_scatter_besides_noise_in_one_direction_is_found_in_the_others() -> None:

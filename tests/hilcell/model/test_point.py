@@ -7,12 +7,12 @@ from pathlib import Path
 
 import hilcell
 import procedures
-from hilcell.calibration.diagnosis import VERDICTS
+from hilcell.calibration.diagnosis import CLOSING, REVISIT
 from hilcell.model.point import KINDS
 from hilcell.report.facts import read_facts
 from tests.whole.golden import GoldenRuns
 
-OF_THE_CALLER = {"kind", "id"}  # the kinds of `VERDICTS`, and kinds that a journal names
+OF_THE_CALLER = {"kind", "id"}  # the kinds of second visits, and kinds that a journal names
 
 
 def kinds_made() -> Iterator[str]:
@@ -33,7 +33,7 @@ def kinds_made() -> Iterator[str]:
 
 
 def test_every_kind_that_a_procedure_measures_has_words() -> None:
-    kinds = {*kinds_made(), *VERDICTS}
+    kinds = {*kinds_made(), REVISIT, CLOSING}
     assert {"validate", "campaign", "survey", "six", "repeat", "iso9283", "oriented"} <= kinds
     assert kinds <= KINDS.keys()
 

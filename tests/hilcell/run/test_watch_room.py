@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.diagnosis import warm
+from hilcell.calibration.diagnosis import temperature_change
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.model.point import PointId
@@ -46,7 +46,7 @@ def test_a_room_within_its_range_suspends_nothing(bed: Bed, off_k: float) -> Non
     act = Points(1, lambda session, number: grid(session, 3, {1: off_k}, bed))
     assert bed.run(procedure(act)) == 0, bed.log().fault
     assert bed.asked() == []
-    assert warm(bed.log()) is None
+    assert temperature_change(bed.log()) is None
 
 
 @pytest.mark.parametrize("off_k", [3.1, -8.0])
@@ -68,7 +68,7 @@ def test_it_goes_on_by_itself_and_measures_the_point_again(bed: Bed, off_k: floa
     log = bed.log()
     assert log.points["grid/1-0-0"].temperature_c == START_C + 1.9
     assert [record.key for record in bed.records("point")].count("grid/1-0-0") == 2
-    assert warm(log) is None
+    assert temperature_change(log) is None
 
 
 def test_what_was_measured_in_the_warm_and_counts_is_suspected(bed: Bed) -> None:
@@ -77,7 +77,7 @@ def test_what_was_measured_in_the_warm_and_counts_is_suspected(bed: Bed) -> None
     log = bed.log()
     late = msgspec.structs.replace(log.points["grid/1-0-0"], temperature_c=START_C - 4.0)
     log.points["grid/1-0-0"] = late
-    found = warm(log)
+    found = temperature_change(log)
     assert found is not None
     assert (found.cause, found.size, found.unit) == ("temperature", -4.0, "K")
 
