@@ -32,7 +32,7 @@ def finished(
     ``plan`` to that of the run."""
     writer = Writer(runs / name, **plan).began()
     if used:
-        writer.journal.append("event", "", {"what": "calibration used", "run": used})
+        writer.event("calibration used", run=used)
     for key, verdict in judged.items():
         writer.journal.append("verdict", key, verdict)
     writer.state("run", "finished")

@@ -95,21 +95,36 @@ def records(folder: Path) -> list[Record]:
     return [each for each in read_journal(folder / JOURNAL) if each.body.get("what") != "order"]
 
 
-@pytest.mark.parametrize(("answer", "code"), [("y\n", 0), ("\n", 4), ("no\n", 4), ("", 4)])
-def test_at_a_terminal_a_resume_says_what_moves_and_asks(
+@pytest.mark.parametrize(
+    ("simulated", "words", "answer", "code"),
+    [
+        (True, (), "y\n", 0), (True, (), "\n", 4), (True, (), "no\n", 4), (True, (), "", 4),
+        (True, (), None, 0), (True, ("--unattended",), "", 0), (True, ("--screen",), "", 0),
+        (False, (), None, 2), (False, ("--unattended",), None, 0), (False, ("--screen",), None, 0),
+        (False, (), "yes\n", 0), (False, (), "y\n", 4), (False, (), "yess\n", 4),
+    ],
+)  # fmt: skip
+def test_a_resume_says_what_moves_and_asks_where_somebody_can_be_asked(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-    answer: str,
+    simulated: bool,
+    words: tuple[str, ...],
+    answer: str | None,
     code: int,
 ) -> None:
-    folder = left(tmp_path / "r")
+    """A real robot does not go on where nobody can be, and only after a whole "yes"."""
+    folder = left(tmp_path / "r", simulated=simulated)
     before = read_journal(folder / JOURNAL)
-    found, proceed_refusal = resumed(folder, monkeypatch, answer)
-    assert (found, len(proceed_refusal)) == (code, int(code == 0))
-    words = capsys.readouterr().err
-    assert "SIMULATED" in words
-    assert STEP in words
+    found, went_on = resumed(folder, monkeypatch, answer, *words)
+    assert (found, len(went_on)) == (code, int(code == 0))
+    if code == 0 and (words or answer is None):
+        assert went_on == [Changes([], can_ask="--screen" in words)]
+    said = capsys.readouterr().err
+    asked = answer is not None and not words
+    assert (STEP in said) is (asked or (simulated and not words))
+    assert ("SIMULATED" in said) is simulated or words
+    assert ("--unattended" in said) is (code == 2)
     assert records(folder) == before
 
 
@@ -124,38 +139,6 @@ def test_a_run_that_has_a_copy_beside_it_says_so_when_it_goes_on(
     shutil.rmtree(tmp_path / "copy")
     assert resumed(folder, monkeypatch, "y\n")[0] == 0
     assert "are one run" not in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("words", [("--unattended",), ("--screen",), ()])
-def test_scripts_and_screens_are_not_asked(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
-) -> None:
-    folder = left(tmp_path / "r")
-    proceed_refusal = [Changes([], can_ask="--screen" in words)]
-    assert resumed(folder, monkeypatch, "" if words else None, *words) == (0, proceed_refusal)
-
-
-@pytest.mark.parametrize(
-    ("words", "answer", "code"),
-    [((), None, 2), (("--unattended",), None, 0), (("--screen",), None, 0), ((), "yes\n", 0),
-     ((), "y\n", 4), ((), "yess\n", 4)],
-)  # fmt: skip
-def test_a_real_robot_does_not_go_on_where_nobody_can_be_asked(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    words: tuple[str, ...],
-    answer: str | None,
-    code: int,
-) -> None:
-    folder = left(tmp_path / "r", simulated=False)
-    before = read_journal(folder / JOURNAL)
-    found, proceed_refusal = resumed(folder, monkeypatch, answer, *words)
-    assert (found, len(proceed_refusal)) == (code, int(code == 0))
-    said = capsys.readouterr().err
-    assert ("--unattended" in said) is (code == 2)
-    assert (STEP in said) is (answer is not None)
-    assert records(folder) == before
 
 
 @pytest.mark.parametrize(

@@ -304,7 +304,7 @@ def test_what_was_not_seen_at_rest_is_shown_of_the_journal_too(
 ) -> None:
     writer = Writer(tmp_path / "r1").began()
     problem = "Robot: close: not at rest 3 s after the brake"
-    writer.journal.append("event", "", {"what": "closed", "problems": {"Robot": problem}})
+    writer.event("closed", problems={"Robot": problem})
     writer.ended("faulted", 3, "Rail: CAN: link lost")
     for words in (["show", "r1"], ["watch", "r1"]):
         assert main([*words, "--runs", str(tmp_path)]) == 0
@@ -313,7 +313,7 @@ def test_what_was_not_seen_at_rest_is_shown_of_the_journal_too(
     assert main(["show", "r1", "--json", "--runs", str(tmp_path)]) == 0
     assert "press the E-stop" in json.loads(capsys.readouterr().out)["not_at_rest"]
     writer = Writer(tmp_path / "r2").began()
-    writer.journal.append("event", "", {"what": "closed", "problems": {"Tracker": "no answer"}})
+    writer.event("closed", problems={"Tracker": "no answer"})
     writer.ended("faulted", 3, "Rail: CAN: link lost")
     assert main(["show", "r2", "--json", "--runs", str(tmp_path)]) == 0
     assert json.loads(capsys.readouterr().out)["not_at_rest"] is None, "a tracker moves nothing"

@@ -54,7 +54,8 @@ def test_one_that_is_not_current_is_refused(runs: Path, procedure: str) -> None:
     assert "2-made" in accepted
 
 
-def test_a_revoked_one_is_refused(runs: Path) -> None:
+def test_one_of_another_tolerance_or_revoked_is_refused(runs: Path) -> None:
+    assert "tolerance" in refused(runs, "1-made", "--set", "validation.mean_tolerance_mm=0.1")
     assert command("revoke", "1-made", "--runs", runs, "--reason", "loose nest").returncode == 0
     assert "loose nest" in refused(runs, "1-made")
 
@@ -72,10 +73,6 @@ def test_one_out_of_tolerance_is_refused(runs: Path, changes: dict[str, Any]) ->
     assert "--accept-out-of-tolerance" in refused(runs, "2-made")
     assert recheck(runs, "2-made", "--accept-out-of-tolerance").returncode == 0
     assert len(read_log(runs / "r").inputs.accepted) == 1
-
-
-def test_another_tolerance_is_refused(runs: Path) -> None:
-    assert "tolerance" in refused(runs, "1-made", "--set", "validation.mean_tolerance_mm=0.1")
 
 
 def touched(runs: Path) -> None:

@@ -47,6 +47,12 @@ class Writer:
     def state(self, machine: str, to: str, **more: str) -> None:
         self.journal.append("state", "", {"machine": machine, "to": to} | more)
 
+    def event(self, what: str, **facts: Any) -> None:
+        self.journal.append("event", "", {"what": what} | facts)
+
+    def step(self, name: str, number: int = 1, of: int = 1) -> None:
+        self.event("step", name=name, number=number, of=of)
+
     def frame(self, key: str, **more: Any) -> None:
         self.journal.append("frame", key, framed(key, **more))
 

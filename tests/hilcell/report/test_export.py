@@ -68,33 +68,24 @@ def test_a_formula_stays_text(tmp_path: Path) -> None:
         assert b"<f>" not in book.read("xl/worksheets/sheet2.xml")
 
 
-def test_workbook(tmp_path: Path) -> None:
+def test_a_workbook_can_be_worked_with(tmp_path: Path) -> None:
     facts = validated_run(tmp_path / "r").facts()
     content = xlsx_bytes(facts)
     assert content == xlsx_bytes(facts)
     with zipfile.ZipFile(io.BytesIO(content)) as book:
         names = [each.get("name") for each in _tree(book, "workbook.xml").iter(f"{SHEET}sheet")]
         words = ["".join(each.itertext()) for each in _tree(book, "sharedStrings.xml")]
-        cells = list(_tree(book, "worksheets/sheet2.xml").iter(f"{SHEET}row"))
-    assert names == ["run", "points", "frames", "results", "before and after"]
-    assert set(POINT_KEYS) <= set(words)
-    assert len(cells) == 1 + 16
-    keys = [words[int(cell.findtext(f"{SHEET}v", ""))] for cell in cells[0]]
-    assert keys == POINT_KEYS
-    first = {(cell.get("r") or "").rstrip("2"): cell for cell in cells[1]}
-    column = (cells[0][keys.index("x_mm")].get("r") or "").rstrip("1")
-    assert float(first[column].findtext(f"{SHEET}v", "nan")) == 1.0
-
-
-def test_a_workbook_can_be_worked_with(tmp_path: Path) -> None:
-    facts = validated_run(tmp_path / "r").facts()
-    with zipfile.ZipFile(io.BytesIO(xlsx_bytes(facts))) as book:
-        points = _tree(book, "worksheets/sheet2.xml")
+        points, frames, compared = (_tree(book, f"worksheets/sheet{n}.xml") for n in (2, 3, 5))
         table = _tree(book, "tables/table1.xml")
-        compared = _tree(book, "worksheets/sheet5.xml")
         styles = book.read("xl/styles.xml").decode()
+    assert names == ["run", "points", "frames", "results", "before and after"]
+    rows = list(points.iter(f"{SHEET}row"))
+    assert len(rows) == 1 + 16
+    assert [words[int(value)] for value in values(rows[0])] == POINT_KEYS
     assert points.find(f"{SHEET}autoFilter") is not None
     cells = {cell.get("r"): cell for cell in points.iter(f"{SHEET}c")}
+    column = (rows[0][POINT_KEYS.index("x_mm")].get("r") or "").rstrip("1")
+    assert float(cells[f"{column}2"].findtext(f"{SHEET}v", "nan")) == 1.0
     days = float(cells["B2"].findtext(f"{SHEET}v", "nan"))  # a date is a number of days
     assert 40_000 < days < 80_000
     assert cells["B2"].get("s") not in (None, "0")
@@ -103,8 +94,14 @@ def test_a_workbook_can_be_worked_with(tmp_path: Path) -> None:
     assert table.get("displayName") == "before_after"
     headers = [each.get("name") for each in table.iter(f"{SHEET}tableColumn")]
     assert headers[:4] == ["station", "error", "targets", "mean_mm"]
-    rows = list(compared.iter(f"{SHEET}row"))
-    assert float(rows[1][3].findtext(f"{SHEET}v", "nan")) == pytest.approx(2.0)
+    assert float(values(list(compared.iter(f"{SHEET}row"))[1])[3]) == pytest.approx(2.0)
+    world = values(list(frames.iter(f"{SHEET}row"))[1])
+    assert list(map(float, world[1:7])) == [0.0] * 6
+    assert ["points.validate_before", 8] in results_table(facts).rows
+
+
+def values(row: ET.Element) -> list[str]:
+    return [cell.findtext(f"{SHEET}v", "") for cell in row]
 
 
 def _tree(book: zipfile.ZipFile, name: str) -> ET.Element:
@@ -134,11 +131,3 @@ def test_what_is_written_of_an_unfinished_run_is_said_to_be_so(
         assert main([*words, run, "--runs", str(tmp_path), "-o", out]) == 0
         said[run] = "the run is running, engine gone, not finished" in capsys.readouterr().err
     assert said == {"cut": True, "over": False}
-
-
-def test_frames_and_results_are_flat(tmp_path: Path) -> None:
-    facts = validated_run(tmp_path / "r").facts()
-    with zipfile.ZipFile(io.BytesIO(xlsx_bytes(facts))) as book:
-        cells = list(_tree(book, "worksheets/sheet3.xml").iter(f"{SHEET}row"))
-    assert [float(cell.findtext(f"{SHEET}v", "nan")) for cell in cells[1]][1:7] == [0.0] * 6
-    assert ["points.validate_before", 8] in results_table(facts).rows

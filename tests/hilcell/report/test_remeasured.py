@@ -23,7 +23,7 @@ TARGET = PointId("validate", station="S1100", how="chosen", number=2)  # off by 
 def retaken(folder: Path, again_mm: float, what: str = "retake asked") -> Facts:
     writer = validated_run(folder)
     if what:
-        writer.journal.append("event", "", {"what": what, "key": TARGET.key})
+        writer.event(what, key=TARGET.key)
     nominal_mm = (200.0, 100.0, 1040.0)
     at_mm = (nominal_mm[0] + again_mm, *nominal_mm[1:])
     writer.point(TARGET, at_mm, "S1100", nominal_mm=nominal_mm, retaken=True)
@@ -43,33 +43,23 @@ def test_both_values_and_why(tmp_path: Path, what: str, why: str) -> None:
 
 
 def test_of_a_target_the_larger_error_counts_everywhere(tmp_path: Path) -> None:
-    facts = retaken(tmp_path / "r", 0.01)
-    (chosen,) = [v[Sent.CHOSEN] for v in (validation(facts.log, ["S1100"]),)]
-    assert chosen.norms_mm.tolist() == pytest.approx([0.1, 0.2, 0.3, 0.2])
-    sheet = Tables(facts).accuracy()
-    after = next(row for row in sheet.texts() if row[1].startswith("after"))
+    facts, later = retaken(tmp_path / "r", 0.01), retaken(tmp_path / "s", 0.5)
+    errors = validation(facts.log, ["S1100"])[Sent.CHOSEN]
+    assert errors.norms_mm.tolist() == pytest.approx([0.1, 0.2, 0.3, 0.2])
+    after = next(row for row in Tables(facts).accuracy().texts() if row[1].startswith("after"))
     assert after[3] == "0.200", "the table has the same mean"
-
-
-def test_a_larger_later_value_counts(tmp_path: Path) -> None:
-    facts = retaken(tmp_path / "r", 0.5)
-    found = Tables(facts).remeasured()
-    assert found.texts()[0][2] == "again"
-    assert validation(facts.log, ["S1100"])[Sent.CHOSEN].figures.max == pytest.approx(0.5)
-
-
-def test_of_three_values_the_largest_counts(tmp_path: Path) -> None:
-    writer = validated_run(tmp_path / "r")
+    assert Tables(later).remeasured().texts()[0][2] == "again"
+    assert validation(later.log, ["S1100"])[Sent.CHOSEN].figures.max == pytest.approx(0.5)
+    writer = validated_run(tmp_path / "t")
     for error_mm in (0.4, 0.05):
         writer.validated("S1100", "chosen", [(error_mm, 0.0, 0.0)])
-    found = Tables(writer.facts()).remeasured()
-    assert [row[2] for row in found.texts()] == ["again", "first"]
+    of_three = Tables(writer.facts()).remeasured()
+    assert [row[2] for row in of_three.texts()] == ["again", "first"]
 
 
 def test_points_of_a_moved_tracker(tmp_path: Path) -> None:
     writer = validated_run(tmp_path / "r")
-    moved = {"what": "tracker moved", "set_up": 0, "invalid": [TARGET.key]}
-    writer.journal.append("event", "", moved)
+    writer.event("tracker moved", set_up=0, invalid=[TARGET.key])
     writer.point(TARGET, (200.0, 100.0, 1040.0), "S1100", nominal_mm=(200.0, 100.0, 1040.0))
     found = Tables(writer.facts()).remeasured()
     assert "tracker" in found.texts()[0][1]
@@ -127,8 +117,7 @@ def test_each_step_and_event_has_its_line(tmp_path: Path) -> None:
 def test_a_step_counts_the_points_that_are_its_own(tmp_path: Path) -> None:
     """Neither a check of nests nor what the next session measures before its first step."""
     writer = Writer(tmp_path / "r").began()
-    event = {"what": "step", "name": "robot-grid", "number": 1, "of": 1}
-    writer.journal.append("event", "", event)
+    writer.step("robot-grid")
     writer.point(PointId("grid", vertex=(0, 0, 0)), (1.0, 2.0, 3.0))
     writer.point(PointId("control", session=1, pass_number=0, nest="F1"), (1.0, 2.0, 3.0))
     writer.state("run", "checking")
@@ -174,10 +163,9 @@ def test_a_step_that_a_later_session_only_passes_is_not_in_the_course(tmp_path: 
 
     def steps(*names: str) -> None:
         for number, name in enumerate(names, 1):
-            event = {"what": "step", "name": name, "number": number, "of": 4}
-            writer.journal.append("event", "", event)
+            writer.step(name, number, 4)
             if name == "world-frame":  # the same again, at every start
-                writer.journal.append("event", "", {"what": "tracker proven", "off_mm": [0.01]})
+                writer.event("tracker proven", off_mm=[0.01])
                 writer.journal.append("frame", "world", {"matrix": np.eye(4).tolist()})
             if name == "fit":
                 fitted = msgspec.structs.replace(FITTED, reason=f"of {len(names)} steps")
@@ -204,11 +192,9 @@ def test_a_point_measured_again_is_not_of_the_step_in_which_it_came(tmp_path: Pa
     writer = validated_run(tmp_path / "r")
     for session in range(2):
         for number, name in enumerate(("home", "robot-grid", "validate"), 1):
-            event = {"what": "step", "name": name, "number": number, "of": 3}
-            writer.journal.append("event", "", event)
+            writer.step(name, number, 3)
             if session and name == "robot-grid":
-                asked = {"what": "retake asked", "key": TARGET.key}
-                writer.journal.append("event", "", asked)
+                writer.event("retake asked", key=TARGET.key)
                 writer.journal.append("intent", TARGET.key, {"action": "robot.move"})
                 place = (200.0, 100.0, 1040.0)
                 writer.point(TARGET, place, "S1100", nominal_mm=place, retaken=True)
@@ -226,7 +212,7 @@ def test_a_crash_stands_at_its_time_and_before_what_came_after(tmp_path: Path) -
     """The order to go on is written before the next session begins."""
     writer = Writer(tmp_path / "r").began()
     writer.validated("S1100", "before", AFTER_MM)
-    writer.journal.append("event", "", {"what": "order", "number": 14, "known": []})
+    writer.event("order", number=14, known=[])
     writer.state("run", "checking")
     facts = read_facts(writer.left())
     (order,) = (each for each in facts.records if each.body.get("what") == "order")
@@ -249,8 +235,7 @@ def test_a_step_that_a_plan_leaves_out_is_not_in_the_course(tmp_path: Path) -> N
     lines = []
     for name, seen in (("full", True), ("quick", False)):
         writer = Writer(tmp_path / name).began()
-        event = {"what": "step", "name": "two-face", "number": 1, "of": 1}
-        writer.journal.append("event", "", event)
+        writer.step("two-face")
         if seen:
             writer.point(PointId("back", number=0, nest="F1"), (1.0, 2.0, 3.0))
         found = timeline(writer.facts())
