@@ -97,11 +97,6 @@ def test_the_volume_turns_with_the_base() -> None:
     assert not volume.takes("S1100", aside).item()
 
 
-def test_free_stations_are_not_calibrated(tmp_path: Path) -> None:
-    path, file = holes(tmp_path, *INSIDE), made(tmp_path)
-    assert command("plan", path, "--free", "--calibration", file).returncode == 2
-
-
 def prepare(folder: Path, path: Path, *words: str | Path) -> subprocess.CompletedProcess[str]:
     file = folder / "calibration.json"
     return command("prepare", path, "--calibration", file, "-o", folder / "out", *words)
@@ -174,15 +169,11 @@ def test_a_calibration_that_failed_plans_and_prepares_nothing(tmp_path: Path, wh
         assert "OUT OF TOLERANCE, accepted" in (out / "sheet.html").read_text("utf-8")
 
 
-def test_another_cell_is_refused(tmp_path: Path) -> None:
-    path = holes(tmp_path, *INSIDE)
-    made(tmp_path)
+def test_what_is_not_the_calibration_s_is_refused(tmp_path: Path) -> None:
+    """Free stations, another cell, and a setting that its run's journal has otherwise."""
+    path, file, runs = holes(tmp_path, *INSIDE), made(tmp_path), tmp_path / "runs"
+    assert command("plan", path, "--free", "--calibration", file).returncode == 2
     assert "hard" in refused(tmp_path, path, "--cell", "hard")
-
-
-def test_a_setting_that_is_not_the_run_s_is_named(tmp_path: Path) -> None:
-    """The run was made without it, and its journal says so."""
-    path, runs = holes(tmp_path, *INSIDE), tmp_path / "runs"
     finished(runs, "1-made", MADE)
     words = ("prepare", path, "--runs", runs, "--calibration", "1-made", "-o", tmp_path / "out")
     done = command(*words, "--set", "plan.quick=true")
@@ -193,16 +184,18 @@ def test_a_setting_that_is_not_the_run_s_is_named(tmp_path: Path) -> None:
 def test_a_refusal_names_what_is_beyond_its_limit() -> None:
     """A hole outside has turns of the tool that are inside, and others that are turned right."""
     volume, station = Volume(calibration()), ["S1100"]
-    at = T_W_B @ pose_from_zyx(1850.0, 0.0, 950.0, 0.0, 75.0, 0.0)
-    outside = T_W_B @ pose_from_zyx(1850.0, 500.0, 950.0, 0.0, 75.0, 0.0)
+    inside, outside = (
+        T_W_B @ pose_from_zyx(1850.0, y_mm, 950.0, 0.0, 75.0, 0.0) for y_mm in (0.0, 500.0)
+    )
     half = pose_from_zyx(0.0, 0.0, 0.0, 90.0, 0.0, 0.0)
-    two = np.array([outside, at @ half])
-    assert "50.0 mm" in volume.refusal(station, two)
-    assert "turned" not in volume.refusal(station, two)
-    assert "90.00 deg" in volume.refusal(station, np.array([at @ half]))
-    both = volume.refusal(station, np.array([outside @ half]))
-    assert "90.00 deg" in both
-    assert "50.0 mm" in both
+    for poses, words in (
+        ([outside, inside @ half], {"50.0 mm"}),
+        ([inside @ half], {"90.00 deg"}),
+        ([outside @ half], {"50.0 mm", "90.00 deg"}),
+    ):
+        said = volume.refusal(station, np.array(poses))
+        assert {each for each in ("50.0 mm", "90.00 deg") if each in said} == words
+        assert ("turned" in said) == ("90.00 deg" in words)
 
 
 def test_a_tool_across_the_flange_does_not_point_into_the_part() -> None:

@@ -146,11 +146,14 @@ def test_every_stand_off_lies_on_the_free_side(
         assert stated in page
 
 
-def test_a_stand_off_shorter_than_the_ways_need_is_refused(tmp_path: Path) -> None:
+def test_a_stand_off_too_short_or_out_of_reach_is_refused(tmp_path: Path) -> None:
     made(tmp_path)
     path = holes(tmp_path, *INSIDE)
     assert "the part" in refused(tmp_path, path, "--standoff", "21")
     assert "--standoff" in refused(tmp_path, path, "--standoff", "10")
+    said = refused(tmp_path, path, "--standoff", "1000")
+    for words in ("1000 mm at 3 of 3 holes", "H1: ", "H2: ", "H3: ", "--standoff"):
+        assert words in said
 
 
 def test_normals_that_point_into_the_part_are_named(tmp_path: Path) -> None:
@@ -161,36 +164,33 @@ def test_normals_that_point_into_the_part_are_named(tmp_path: Path) -> None:
     assert "larger volume" not in said
 
 
+def box(name: str, centre_mm: Array, size_mm: tuple[float, ...], b_deg: float = 75.0) -> str:
+    """Return the table of a box that the arm keeps out of, turned as the calibrated tool."""
+    x, y, z = centre_mm.tolist()
+    return (
+        f'\n[[keep_out]]\nname = "{name}"\ncentre = {{ x_mm = {x:.3f}, y_mm = {y:.3f}, '
+        f"z_mm = {z:.3f}, b_deg = {b_deg} }}\nsize_mm = {list(size_mm)}\n"
+    )
+
+
+def calibrated(folder: Path, *tables: str) -> Path:
+    """Write a cell with more tables and a calibration of it; return the cell's file."""
+    cell = cell_with(folder, *tables)
+    made(folder, provenance=calibration(digest=load_cell(str(cell)).digest).provenance)
+    return cell
+
+
 def test_ways_through_what_stands_in_the_cell_are_refused(tmp_path: Path) -> None:
     """A beam in front of a hole, where the tool stands off."""
-    text = Path("hilcell/cells/paper.toml").read_text("utf-8")
     points, normals = skin(2, 2, 800.0)
-    centre = points[0] + 200.0 * normals[0]
-    x, y, z = centre.tolist()
-    beam = (
-        f'\n[[keep_out]]\nname = "beam"\ncentre = {{ x_mm = {x:.1f}, y_mm = {y:.1f}, '
-        f"z_mm = {z:.1f} }}\nsize_mm = [60.0, 60.0, 60.0]\n"
-    )
-    cell = tmp_path / "cell.toml"
-    cell.write_text(text.replace("\n[[station]]", beam + "\n[[station]]", 1))
-    known = calibration(digest=load_cell(str(cell)).digest)
-    made(tmp_path, provenance=known.provenance)
+    beam = box("beam", points[0] + 200.0 * normals[0], (60.0, 60.0, 60.0), 0.0)
+    cell = calibrated(tmp_path, beam)
     assert "beam" in refused(tmp_path, listed(tmp_path, points, normals), "--cell", cell)
 
 
 def test_a_box_that_carries_holes_is_the_part(tmp_path: Path) -> None:
     """Its surface may be touched at the holes, and no way leads through it."""
-    text = Path("hilcell/cells/paper.toml").read_text("utf-8")
-    centre = CENTRE - 50.0 * OUTWARD
-    x, y, z = centre.tolist()
-    jig = (
-        f'\n[[keep_out]]\nname = "jig"\ncentre = {{ x_mm = {x:.3f}, y_mm = {y:.3f}, '
-        f"z_mm = {z:.3f}, b_deg = 75.0 }}\nsize_mm = [600.0, 900.0, 100.0]\n"
-    )
-    cell = tmp_path / "cell.toml"
-    cell.write_text(text.replace("\n[[station]]", jig + "\n[[station]]", 1))
-    known = calibration(digest=load_cell(str(cell)).digest)
-    made(tmp_path, provenance=known.provenance)
+    cell = calibrated(tmp_path, box("jig", CENTRE - 50.0 * OUTWARD, (600.0, 900.0, 100.0)))
     points, normals = skin(2, 1, 600.0)
     assert prepare(tmp_path, listed(tmp_path, points, normals), "--cell", cell).returncode == 0
 
@@ -212,15 +212,6 @@ def test_a_program_whose_comments_were_stripped_is_known_by_its_points(tmp_path:
     assert "whose stamp was lost" in done.stderr
 
 
-def test_holes_whose_stand_off_is_out_of_reach_are_named(tmp_path: Path) -> None:
-    made(tmp_path)
-    said = refused(tmp_path, holes(tmp_path, *INSIDE), "--standoff", "1000")
-    assert "1000 mm at 3 of 3 holes" in said
-    for name in ("H1: ", "H2: ", "H3: ", "--standoff"):
-        assert name in said
-    assert not (tmp_path / "out").exists()
-
-
 @pytest.mark.parametrize("aside_mm", [200.0, -200.0])
 def test_no_tool_passes_through_a_box_between_its_holes(tmp_path: Path, aside_mm: float) -> None:
     """A long drill keeps the flange far away from a bracket that is higher than the tip goes."""
@@ -229,20 +220,16 @@ def test_no_tool_passes_through_a_box_between_its_holes(tmp_path: Path, aside_mm
     rows = np.genfromtxt(holes_path, delimiter=",", skip_header=1)[:2, 1:]
     rows[:, :3] = rows[0, :3] + np.outer([0.0, aside_mm], ALONG)
     path = listed(tmp_path, rows[:, :3], rows[:, 3:])
-    x, y, z = (rows[:, :3].mean(axis=0) + 60.0 * OUTWARD).tolist()
-    bracket = (
-        f'\n[[keep_out]]\nname = "bracket"\ncentre = {{ x_mm = {x:.1f}, y_mm = {y:.1f}, '
-        f"z_mm = {z:.1f}, b_deg = 75.0 }}\nsize_mm = [400.0, 40.0, 120.0]\n"
-    )
-    cell = cell_with(tmp_path, tool, bracket)
-    made(tmp_path, provenance=calibration(digest=load_cell(str(cell)).digest).provenance)
+    middle_mm = rows[:, :3].mean(axis=0) + 60.0 * OUTWARD
+    cell = calibrated(tmp_path, tool, box("bracket", middle_mm, (400.0, 40.0, 120.0)))
     done = prepare(tmp_path, path, "--cell", cell)
     if done.returncode == 0:  # led round it
         loaded = load_cell(str(cell))
         tip = tool_tips(loaded)[1]
-        box = inverse(pose_from_zyx(x, y, z, 0.0, 75.0, 0.0))
+        x, y, z = middle_mm.tolist()
+        inner = inverse(pose_from_zyx(x, y, z, 0.0, 75.0, 0.0))
         for _, name, way in motions(tmp_path / "out", "S1100", T_W_B, tip.arm(loaded.robot.arm())):
-            inside = (np.abs(apply(box, way)) < np.array([200.0, 20.0, 60.0])).all(axis=1)
+            inside = (np.abs(apply(inner, way)) < np.array([200.0, 20.0, 60.0])).all(axis=1)
             assert not inside.any(), name
     else:
         assert "bracket" in done.stderr
@@ -253,15 +240,10 @@ def test_a_box_beside_a_hole_is_no_part_where_it_sticks_out(
     tmp_path: Path, high_mm: float, code: int
 ) -> None:
     """The spindle comes down beside it; a box that ends at the hole's plane carries the hole."""
-    path = cell_with(tmp_path, DRILL)
-    place = np.genfromtxt(at_tip_of(path, tmp_path), delimiter=",", skip_header=1)[:1, 1:]
-    x, y, z = (place[0, :3] + 33.0 * ALONG + (high_mm / 2 - 50.0) * OUTWARD).tolist()
-    bracket = (
-        f'\n[[keep_out]]\nname = "bracket"\ncentre = {{ x_mm = {x:.1f}, y_mm = {y:.1f}, '
-        f"z_mm = {z:.1f}, b_deg = 75.0 }}\nsize_mm = [200.0, 60.0, {high_mm + 100.0}]\n"
-    )
-    cell = cell_with(tmp_path, DRILL, bracket)
-    made(tmp_path, provenance=calibration(digest=load_cell(str(cell)).digest).provenance)
+    at_tip = at_tip_of(cell_with(tmp_path, DRILL), tmp_path)
+    place = np.genfromtxt(at_tip, delimiter=",", skip_header=1)[:1, 1:]
+    beside_mm = place[0, :3] + 33.0 * ALONG + (high_mm / 2 - 50.0) * OUTWARD
+    cell = calibrated(tmp_path, DRILL, box("bracket", beside_mm, (200.0, 60.0, high_mm + 100.0)))
     done = prepare(tmp_path, listed(tmp_path, place[:, :3], place[:, 3:]), "--cell", cell)
     assert done.returncode == code, done.stderr
     assert ("bracket" in done.stderr) == (code == 2)

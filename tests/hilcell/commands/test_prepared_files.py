@@ -107,8 +107,8 @@ def test_nothing_of_it_is_corrected_again(out: Path, tmp_path: Path, name: str) 
 
 
 def test_the_program_says_what_a_stroke_would_add(out: Path) -> None:
-    source = (out / "S1100.src").read_text("latin-1")
     """The errors change by (0, 0.1, -0.2) of 1.2 mm over 450 mm in z, z and x of the base."""
+    source = (out / "S1100.src").read_text("latin-1")
     change_mm = 1.2 / 450.0 * 20.0 * np.array([0.0, 0.1 * np.cos(TILT), -0.2 * np.sin(TILT)])
     along_mm = change_mm @ [np.sin(TILT), 0.0, np.cos(TILT)]
     across_mm = np.sqrt(change_mm @ change_mm - along_mm**2)
@@ -176,11 +176,16 @@ def test_the_sheet_says_until_when_it_holds(tmp_path: Path) -> None:
     assert "OUT OF TOLERANCE" not in page
 
 
+def cell_with(folder: Path, old: str, new: str) -> tuple[Path, str]:
+    """Write the paper's cell with other words; return its file and digest."""
+    cell, text = folder / "cell.toml", resources.files("hilcell.cells") / "paper.toml"
+    cell.write_text(text.read_text("utf-8").replace(old, new))
+    return cell, load_cell(str(cell)).digest
+
+
 def test_programs_and_sheet_say_what_the_strip_must_read(tmp_path: Path) -> None:
     """The strip's zero is not the rail's."""
-    cell, text = tmp_path / "cell.toml", resources.files("hilcell.cells") / "paper.toml"
-    cell.write_text(text.read_text("utf-8").replace("strip_mm = 1100.0", "strip_mm = 1100.37"))
-    digest = load_cell(str(cell)).digest
+    cell, digest = cell_with(tmp_path, "strip_mm = 1100.0", "strip_mm = 1100.37")
     made(tmp_path, provenance=calibration(digest=digest).provenance)
     assert prepare(tmp_path, holes(tmp_path, *INSIDE), "--cell", cell).returncode == 0
     assert "1100.37 mm" in (tmp_path / "out" / "S1100.src").read_text()
@@ -218,10 +223,8 @@ def made_for_two(folder: Path, other: str, digest: str) -> Path:
 
 def test_stations_whose_names_differ_by_case_alone_are_refused(tmp_path: Path) -> None:
     """Their files would replace one another on the controller, and on many a PC."""
-    cell, text = tmp_path / "cell.toml", resources.files("hilcell.cells") / "paper.toml"
-    cell.write_text(text.read_text("utf-8").replace('"S1900"', '"s1100"'))
-    source = made_for_two(tmp_path, "s1100", load_cell(str(cell)).digest)
-    assert "s1100.csv" in refused(tmp_path, source, "--cell", cell)
+    cell, digest = cell_with(tmp_path, '"S1900"', '"s1100"')
+    assert "s1100.csv" in refused(tmp_path, made_for_two(tmp_path, "s1100", digest), "--cell", cell)
 
 
 def test_each_station_has_a_program_of_its_own(tmp_path: Path) -> None:

@@ -16,12 +16,14 @@ from hilcell import __version__
 from hilcell.cell.file import load_cell
 from hilcell.commands import run as command
 from hilcell.commands.cli import main
+from hilcell.commands.run import awaited_motion
 from hilcell.journal.journal import Journal, Record, read_journal
 from hilcell.journal.runs import JOURNAL, EngineFile
 from hilcell.run.cell_lock import lock_of_name, locked
 from hilcell.run.control import Status
 from hilcell.run.engine import Ending, Engine
 from hilcell.run.run_plan import Changes
+from tests.hilcell.alarms.journals import event, log_of, state
 from tests.hilcell.report.journals import Writer
 from tests.whole.bench import command as command_of
 
@@ -300,3 +302,17 @@ def test_a_driver_that_is_not_installed_on_this_pc_is_to_be_installed(
     assert read_journal(folder / JOURNAL) == before
     assert listed(tmp_path) == state
     assert state == {"state": "running, engine gone", "verdict": "", "exit": None}
+
+
+# -- a person agrees to the motion that was announced last, and to none that was agreed to ---------
+
+
+RUNNING = state("running")
+FIRST, SECOND = (event("announced", motion=motion) for motion in ("A1 turns", "A6 turns"))
+
+
+def test_the_motion_that_a_run_waits_for_is_the_last_that_nobody_has_agreed_to() -> None:
+    assert awaited_motion(log_of(RUNNING)) == ""
+    assert awaited_motion(log_of(RUNNING, FIRST, state("paused"))) == "A1 turns"
+    assert awaited_motion(log_of(RUNNING, FIRST, state("paused"), RUNNING)) == ""
+    assert awaited_motion(log_of(RUNNING, FIRST, RUNNING, SECOND, state("paused"))) == "A6 turns"
