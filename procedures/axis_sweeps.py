@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from operator import attrgetter
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -85,10 +85,10 @@ class AxisSweeps:
             return PlannedStep(self.name, 0, 0.0, note=reason)
         station, positions = cell.reference, 20  # that must be in the tracker's range
         seconds, here_rad = 0.0, np.radians(cell.robot.safe_deg)
-        cube = cube_joints(cell)
-        for axis in axes_of(cell):
+        cube = CubeJoints.of(cell)
+        for axis in self.axes(cell):
             for direction in DIRECTIONS:
-                start_rad, end_rad = ends_rad(cell, cube, axis, direction)
+                start_rad, end_rad = cube.ends_rad(cell, axis, direction)
                 check_sweep(cell, station, start_rad, end_rad, f"A{axis} swept {direction}")
                 path_rad = np.linspace(start_rad, end_rad, positions)
                 at_mm = forward(cell.robot.arm(), path_rad)[:, :3, 3]
@@ -101,7 +101,7 @@ class AxisSweeps:
                 seconds += float(plan.robot_moves_s(cell, below_rad, start_rad, percent))
                 seconds += cell.settle.robot_s + self.STREAM_S + turn_deg / cell.sweeps.speed_deg_s
                 here_rad = end_rad
-        count = len(DIRECTIONS) * len(axes_of(cell))
+        count = len(DIRECTIONS) * len(self.axes(cell))
         return PlannedStep.of_spans(
             self.name, 0, [Span("sweep", count, seconds), *plan.closing(cell)]
         )
@@ -111,8 +111,8 @@ class AxisSweeps:
         if reason := left_out(cell):
             session.add(AxesNotSwept(reason=reason))
             return
-        left = [axis for axis in axes_of(cell) if axis not in session.log.curves]
-        cube = cube_joints(cell)
+        left = [axis for axis in self.axes(cell) if axis not in session.log.curves]
+        cube = CubeJoints.of(cell)
         swept = [self._swept(session, cube, axis) for axis in left]
         session.close_step()
         for curve in swept:
@@ -134,15 +134,12 @@ class AxisSweeps:
     ) -> SweepStream:
         """Return the stream of one sweep, in {B}."""
         again = "" if attempt == 1 else f"/{attempt}"
-        cell, key, station = (
-            session.cell,
-            f"sweep/A{axis}/{direction}{again}",
-            session.cell.reference,
-        )
+        cell, key = session.cell, f"sweep/A{axis}/{direction}{again}"
+        station = cell.reference
         T_W_B = session.frames.base_in_world(station)
         if key not in session.log.streams:
             session.flange_at(station)
-            start_rad, end_rad = ends_rad(cell, cube, axis, direction)
+            start_rad, end_rad = cube.ends_rad(cell, axis, direction)
             start_mm = (T_W_B @ forward(cell.robot.arm(), start_rad))[:3, 3]
             at_mm = session.frames.tracker_from_world(start_mm)[0]
             speed_rad_s, end = float(np.radians(cell.sweeps.speed_deg_s)), float(end_rad[axis - 1])
@@ -190,13 +187,38 @@ class AxisSweeps:
             lost=record.lost,
         )
 
+    @staticmethod
+    def table(result: Result) -> Table:
+        return Table(
+            [
+                Column("axis", lambda row: f"A{row.axis}"),
+                Column("used", lambda row: "yes" if row.used else row.reason),
+                Column("cycles: amplitude", attrgetter("lines"), "µrad"),
+                Column("lag", attrgetter("lag_ms"), "ms", ".2f"),
+                Column("noise", attrgetter("noise_urad"), "µrad", ".1f"),
+                Column("signal", lambda row: 100 * row.share, "%", ".0f"),
+            ],
+            typed(result["sweeps"], Sweeps).axes,
+        )
+
+    @staticmethod
+    def words(result: Result) -> str:
+        """Return why no axis was swept; "" where some were."""
+        reason = typed(result["sweeps"], Sweeps).left_out
+        return f"Axes not swept: {reason}." if reason else ""
+
+    @staticmethod
+    def axes(cell: Cell) -> list[int]:
+        """Return the axes to sweep, 1 to 6: on a quick plan those that move the tool point most."""
+        return [axis for axis in cell.sweeps.axes if axis <= 3 or not cell.plan.quick]
+
 
 def left_out(cell: Cell) -> str:
     """Return why no axis of the cell is swept and the consequence; "" where some are."""
     able, expected = abilities(cell), "axes 1 to 3" if cell.plan.quick else "the axes"
     obstacles = {
         "sweeps.enabled is false in the cell file": not cell.sweeps.enabled,
-        f"sweeps.axes names none of {expected}": not axes_of(cell),
+        f"sweeps.axes names none of {expected}": not AxisSweeps.axes(cell),
         "they leave the grid's cube, and the cell file states no robot.envelope": (
             cell.surroundings is None
         ),
@@ -209,11 +231,6 @@ def left_out(cell: Cell) -> str:
     )
 
 
-def axes_of(cell: Cell) -> list[int]:
-    """Return the axes to sweep, 1 to 6: on a quick plan those that move the tool point most."""
-    return [axis for axis in cell.sweeps.axes if axis <= 3 or not cell.plan.quick]
-
-
 class CubeJoints(NamedTuple):
     """The lowest and highest joints (6,) of the grid's cube, and those at its middle."""
 
@@ -221,42 +238,21 @@ class CubeJoints(NamedTuple):
     high_rad: Array
     middle_rad: Array
 
+    @classmethod
+    def of(cls, cell: Cell) -> Self:
+        grid, along_edge = grid_of(cell), 7  # places
+        edges = np.linspace(grid.origin_mm, grid.far_mm, along_edge).T
+        places_mm = np.stack(np.meshgrid(*edges, indexing="ij"), axis=-1).reshape(-1, 3)
+        joints_rad = plan.check_reach(cell, plan.poses_at(cell, places_mm), "cube")
+        middle_rad = joints_rad[len(joints_rad) // 2]
+        return cls(joints_rad.min(axis=0), joints_rad.max(axis=0), middle_rad)
 
-def ends_rad(cell: Cell, cube: CubeJoints, axis: int, direction: str) -> tuple[Array, Array]:
-    """Return the joints (6,) at the begin and at the end of a sweep."""
-    low_rad, high_rad, middle_rad = cube
-    centre_rad = (low_rad[axis - 1] + high_rad[axis - 1]) / 2
-    half_rad = (high_rad[axis - 1] - low_rad[axis - 1]) / 2 + np.radians(cell.sweeps.margin_deg)
-    half_rad *= 0.5 if cell.plan.quick else 1.0  # the middle of each range
-    start_rad, end_rad = middle_rad.copy(), middle_rad.copy()
-    start_rad[axis - 1], end_rad[axis - 1] = centre_rad - half_rad, centre_rad + half_rad
-    return (start_rad, end_rad) if direction == "up" else (end_rad, start_rad)
-
-
-def cube_joints(cell: Cell) -> CubeJoints:
-    grid, along_edge = grid_of(cell), 7  # places
-    edges = np.linspace(grid.origin_mm, grid.far_mm, along_edge).T
-    places_mm = np.stack(np.meshgrid(*edges, indexing="ij"), axis=-1).reshape(-1, 3)
-    joints_rad = plan.check_reach(cell, plan.poses_at(cell, places_mm), "cube")
-    middle_rad = joints_rad[len(joints_rad) // 2]
-    return CubeJoints(joints_rad.min(axis=0), joints_rad.max(axis=0), middle_rad)
-
-
-def sweep_words(result: Result) -> str:
-    """Return why no axis was swept; "" where some were."""
-    reason = typed(result["sweeps"], Sweeps).left_out
-    return f"Axes not swept: {reason}." if reason else ""
-
-
-def sweep_table(result: Result) -> Table:
-    return Table(
-        [
-            Column("axis", lambda row: f"A{row.axis}"),
-            Column("used", lambda row: "yes" if row.used else row.reason),
-            Column("cycles: amplitude", attrgetter("lines"), "µrad"),
-            Column("lag", attrgetter("lag_ms"), "ms", ".2f"),
-            Column("noise", attrgetter("noise_urad"), "µrad", ".1f"),
-            Column("signal", lambda row: 100 * row.share, "%", ".0f"),
-        ],
-        typed(result["sweeps"], Sweeps).axes,
-    )
+    def ends_rad(self, cell: Cell, axis: int, direction: str) -> tuple[Array, Array]:
+        """Return the joints (6,) at the begin and at the end of a sweep."""
+        low_rad, high_rad = self.low_rad[axis - 1], self.high_rad[axis - 1]
+        centre_rad = (low_rad + high_rad) / 2
+        half_rad = (high_rad - low_rad) / 2 + np.radians(cell.sweeps.margin_deg)
+        half_rad *= 0.5 if cell.plan.quick else 1.0  # the middle of each range
+        start_rad, end_rad = self.middle_rad.copy(), self.middle_rad.copy()
+        start_rad[axis - 1], end_rad[axis - 1] = centre_rad - half_rad, centre_rad + half_rad
+        return (start_rad, end_rad) if direction == "up" else (end_rad, start_rad)

@@ -119,7 +119,7 @@ class BaseFrame:
         """Yield the circle's uncertainties by arc, the shortest first."""
         points = log.select("base", axis=axis)
         begin_deg, end_deg = sweep_of(log.cell, axis)[1]
-        for arc in arcs(len(points)):
+        for arc in BaseFrame.arcs(len(points)):
             circle = axis_circle(log.cell, log, axis, [points[n] for n in arc])
             u = np.sqrt(np.diag(circle.covariance))
             yield Arc(
@@ -130,12 +130,12 @@ class BaseFrame:
                 axis_u_mrad=float(np.linalg.norm(u[3:]) * 1e3),
             )
 
-
-def arcs(points: int) -> list[range]:
-    """Return the points of growing arcs around the middle of a sweep, up to the whole."""
-    shares = (0.25, 0.5, 0.75, 1.0)
-    counts = [min(points, max(FEWEST_ON_ARC, round(share * points))) for share in shares]
-    return [range((points - count) // 2, (points + count) // 2) for count in counts]
+    @staticmethod
+    def arcs(points: int) -> list[range]:
+        """Return the points of growing arcs around the middle of a sweep, up to the whole."""
+        shares = (0.25, 0.5, 0.75, 1.0)
+        counts = [min(points, max(FEWEST_ON_ARC, round(share * points))) for share in shares]
+        return [range((points - count) // 2, (points + count) // 2) for count in counts]
 
 
 def points_on_arc(cell: Cell) -> int:

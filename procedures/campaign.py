@@ -44,11 +44,11 @@ class Campaign:
             raise HilcellError(
                 "reflectors are by_hand: those of a campaign must be mounted", code="HC-C16"
             )
-        rows = campaign_poses(cell)
+        rows = self.poses(cell)
         self._check_robot(cell, rows)
         for pose, joints in zip(rows.pose, rows.joints_rad, strict=True):
             check_joint_limits(cell, joints, f"pose {pose}")
-        first = [at[0] for _, at in visits_of(rows)]
+        first = [at[0] for _, at in self._visits(rows)]
         more = len(rows) - len(first)  # further reflectors of a pose
         seconds = flange_points(cell, rows.joints_rad[first]).duration_s
         return PlannedStep(
@@ -59,7 +59,7 @@ class Campaign:
     def _check_robot(cell: Cell, rows: Measurements) -> None:
         """Raise `FitError` for poses that were measured on another robot."""
         try:
-            place(robot_of(cell).arm, rows)
+            place(Campaign._robot(cell).arm, rows)
         except FitError as error:
             assert cell.campaign is not None  # noqa: S101 - it names the rows
             raise FitError(
@@ -69,44 +69,45 @@ class Campaign:
 
     def perform(self, session: CellSession) -> None:
         session.reach("connect")
-        rows = campaign_poses(session.cell)
-        for pose, at in visits_of(rows):
+        rows = self.poses(session.cell)
+        for pose, at in self._visits(rows):
             ids = [PointId("campaign", pose=pose, target=rows.target[n]) for n in at]
             targets = list(zip(ids, rows.xyz_mm[at], strict=True))
             session.pose_points(rows.joints_rad[at[0]], targets)
 
     def result(self, log: Log) -> Result:
-        return {"campaign": fit_robot(robot_of(log.cell), measured(log)).result}
+        return {"campaign": fit_robot(self._robot(log.cell), self._measured(log)).result}
 
+    @staticmethod
+    def poses(cell: Cell) -> Measurements:
+        """Return the file's poses; raises `HilcellError` where the cell names none."""
+        if cell.campaign is None:
+            raise HilcellError(
+                "campaign.poses is missing: give a CSV with --set campaign.poses=FILE",
+                code="HC-C13",
+            )
+        return read_measurements(Path(cell.campaign.poses))
 
-def campaign_poses(cell: Cell) -> Measurements:
-    """Return the file's poses; raises `HilcellError` where the cell names none."""
-    if cell.campaign is None:
-        raise HilcellError(
-            "campaign.poses is missing: give a CSV with --set campaign.poses=FILE", code="HC-C13"
+    @staticmethod
+    def _visits(rows: Measurements) -> list[tuple[str, list[int]]]:
+        visits = groupby(range(len(rows)), key=lambda row: rows.pose[row])
+        return [(pose, list(numbers)) for pose, numbers in visits]
+
+    @staticmethod
+    def _robot(cell: Cell) -> Robot:
+        """Return the cell's nominal robot; the fit identifies its reflectors."""
+        return Robot(cell.robot.name, arm_from_joints(cell.robot.joint, np.eye(4)))
+
+    @staticmethod
+    def _measured(log: Log) -> Measurements:
+        points = [*log.measured("campaign")]
+        joints_deg = np.array([point.commanded_deg for point in points])
+        return Measurements(
+            [point.id.pose for point in points],
+            [point.id.target for point in points],
+            np.radians(joints_deg),
+            positions_mm(points),
         )
-    return read_measurements(Path(cell.campaign.poses))
-
-
-def visits_of(rows: Measurements) -> list[tuple[str, list[int]]]:
-    visits = groupby(range(len(rows)), key=lambda row: rows.pose[row])
-    return [(pose, list(numbers)) for pose, numbers in visits]
-
-
-def robot_of(cell: Cell) -> Robot:
-    """Return the cell's nominal robot; the fit identifies its reflectors."""
-    return Robot(cell.robot.name, arm_from_joints(cell.robot.joint, np.eye(4)))
-
-
-def measured(log: Log) -> Measurements:
-    points = [*log.measured("campaign")]
-    joints_deg = np.array([point.commanded_deg for point in points])
-    return Measurements(
-        [point.id.pose for point in points],
-        [point.id.target for point in points],
-        np.radians(joints_deg),
-        positions_mm(points),
-    )
 
 
 CAMPAIGN = Procedure(

@@ -240,19 +240,19 @@ class Conformance:
         judged = [each for each in log.happened(PromiseJudged) if each.port == port]
         return [typed(each, Outcome, from_attributes=True) for each in judged]
 
-
-def conformance_table(result: Result) -> Table:
-    rows = [
-        (port, each.promise, each.verdict, each.why)
-        for port, outcomes in typed(result[NAME], dict[str, list[Outcome]]).items()
-        for each in outcomes
-    ]
-    return Table(listed("port", "promise", "verdict", "why"), rows)
+    @staticmethod
+    def table(result: Result) -> Table:
+        rows = [
+            (port, each.promise, each.verdict, each.why)
+            for port, outcomes in typed(result[NAME], dict[str, list[Outcome]]).items()
+            for each in outcomes
+        ]
+        return Table(listed("port", "promise", "verdict", "why"), rows)
 
 
 CONFORMANCE = Procedure(
     NAME,
     "whether the drivers keep the promises of their ports",
     (GuardedHome(), Conformance()),
-    conformance_table,
+    Conformance.table,
 )

@@ -129,7 +129,7 @@ class SignCheck:
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse a grid with a cell out of reach: any may be the worst."""
         grid = grid_of(cell)
-        there, middles_mm = cell.reference, _middle_mm(grid, np.array(_cells(grid)))
+        there, middles_mm = cell.reference, self._cells(grid)[1]
         joints_rad = plan.check_targets(
             cell, there, plan.poses_at(cell, middles_mm), "middle of a grid cell"
         )
@@ -142,14 +142,14 @@ class SignCheck:
         if "sign" in session.log.verdicts:
             return
         station = session.cell.reference
-        target_mm = worst_mm(session.log)
+        target_mm = self.worst_mm(session.log)
         commands = {Sent.BEFORE: target_mm, "corrected": self.command(session.log, target_mm)}
         nominal_mm = apply(session.frames.base_in_world(station), target_mm)[0]
         for how, command in commands.items():
             joints = plan.joints_for(session.cell, command)[0]
             session.flange_point(SIGN_IDS[how], station, joints, nominal_mm=nominal_mm)
         session.close_step()
-        found = sign_errors(session.log)
+        found = self.errors(session.log)
         limit = self._limit(session.log, found.before_mm)
         judged = SignChecked(
             holds=found.ratio < limit,
@@ -166,7 +166,7 @@ class SignCheck:
         return corrected(grid_of(log.cell), plan.poses_at(log.cell, target_mm), model)
 
     def result(self, log: Log) -> Result:
-        return {"sign": sign_errors(log)}
+        return {"sign": self.errors(log)}
 
     @staticmethod
     def _limit(log: Log, before_mm: float) -> float:
@@ -180,38 +180,36 @@ class SignCheck:
         noise_mm = float(np.sqrt(corrected_mm2 + clearly**2 * before_mm2))
         return min(1.0, clearly + 2.0 * noise_mm / before_mm)
 
+    @staticmethod
+    def table(result: Result) -> Table:
+        return Table(
+            [
+                Column("before", attrgetter("before_mm"), "mm", ".4f"),
+                Column("corrected", attrgetter("corrected_mm"), "mm", ".4f"),
+                Column("ratio", attrgetter("ratio"), form=".4f"),
+            ],
+            [typed(result["sign"], SignErrors)],
+        )
 
-def sign_errors(log: Log) -> SignErrors:
-    points = [log.point(id) for id in SIGN_IDS.values()]
-    before_mm, corrected_mm = position_errors(log, points).norms_mm.tolist()
-    ratio = corrected_mm / before_mm
-    return SignErrors(before_mm=before_mm, corrected_mm=corrected_mm, ratio=ratio)
+    @staticmethod
+    def errors(log: Log) -> SignErrors:
+        points = [log.point(id) for id in SIGN_IDS.values()]
+        before_mm, corrected_mm = position_errors(log, points).norms_mm.tolist()
+        ratio = corrected_mm / before_mm
+        return SignErrors(before_mm=before_mm, corrected_mm=corrected_mm, ratio=ratio)
 
+    @staticmethod
+    def worst_mm(log: Log) -> Array:
+        """Return the middle (1, 3) in {B} of the cell whose vertices' mean error is the largest."""
+        grid, errors_mm = grid_of(log.cell), grid_errors_mm(log)
+        cells, middles_mm = SignCheck._cells(grid)
+        mean_mm = [
+            errors_mm[i : i + 2, j : j + 2, k : k + 2].mean(axis=(0, 1, 2)) for i, j, k in cells
+        ]
+        return middles_mm[[int(np.argmax(lengths_mm(mean_mm)))]]
 
-def worst_mm(log: Log) -> Array:
-    """Return the middle (1, 3) in {B} of the cell whose vertices' mean error is the largest."""
-    grid, errors_mm = grid_of(log.cell), grid_errors_mm(log)
-    cells = _cells(grid)
-    mean_mm = [errors_mm[i : i + 2, j : j + 2, k : k + 2].mean(axis=(0, 1, 2)) for i, j, k in cells]
-    worst = int(np.argmax(lengths_mm(mean_mm)))
-    return _middle_mm(grid, np.array([cells[worst]]))
-
-
-def _cells(grid: Grid) -> list[tuple[int, ...]]:
-    return list(product(*(range(count - 1) for count in grid.shape)))
-
-
-def _middle_mm(grid: Grid, cells: Array) -> Array:
-    """Return the middles (N, 3) in {B} of cells given by their lowest vertices (N, 3)."""
-    return grid.origin_mm + grid.pitch_mm * (cells + 0.5)
-
-
-def sign_table(result: Result) -> Table:
-    return Table(
-        [
-            Column("before", attrgetter("before_mm"), "mm", ".4f"),
-            Column("corrected", attrgetter("corrected_mm"), "mm", ".4f"),
-            Column("ratio", attrgetter("ratio"), form=".4f"),
-        ],
-        [typed(result["sign"], SignErrors)],
-    )
+    @staticmethod
+    def _cells(grid: Grid) -> tuple[list[tuple[int, ...]], Array]:
+        """Return the lowest vertex of each cell, and its middle, (N, 3) in {B}."""
+        cells = list(product(*(range(count - 1) for count in grid.shape)))
+        return cells, grid.origin_mm + grid.pitch_mm * (np.array(cells) + 0.5)

@@ -83,7 +83,7 @@ class PoseCycle:
                 "(iso9283.rated_load_kg): take load off, or correct the figure that is wrong",
                 code="HC-C10",
             )
-        joints_rad = commands_rad(cell, cell.iso9283.calibration != "")
+        joints_rad = self.commands_rad(cell, cell.iso9283.calibration != "")
         station = cell.reference
         before_rad = np.roll(joints_rad, 1, axis=0)
         check_planned_path(cell, station, before_rad, joints_rad, "path of the ISO 9283 cycle")
@@ -100,7 +100,7 @@ class PoseCycle:
 
     def perform(self, session: CellSession) -> None:
         station = session.cell.reference
-        joints_rad = commands_rad(session.cell, calibration_in(session.log) is not None)
+        joints_rad = self.commands_rad(session.cell, calibration_in(session.log) is not None)
         at_mm = np.array([commanded_mm(session.cell)[name] for name in CYCLE])
         T_W_B = session.frames.base_in_world(station)
         nominal_mm = apply(T_W_B, at_mm)
@@ -119,17 +119,38 @@ class PoseCycle:
     def result(self, log: Log) -> Result:
         return {ISO: evaluated(log)}
 
+    @staticmethod
+    def words(result: Result) -> str:
+        found = typed(result[ISO], PoseTest)
+        worst, distance = found.worst, found.distance
+        tested = (
+            f"with the correction of {found.corrected_by}" if found.corrected_by else "as it is"
+        )
+        turns = ", ".join(
+            f"{each.symbol} {'±' if each.of is RP_ANGLES else ''}{each.value:.4f}° "
+            f"(U {each.U:.4f}, {each.where})"
+            for each in found.figures()
+            if each.of.unit == "deg"
+        )
+        angles = f" Worst of the angles: {turns}." if turns else ""
+        return (
+            f"The robot {tested}: AP_p {worst.ap_mm:.3f} mm at worst ({worst.ap_pose}), RP_l "
+            f"{worst.rp_mm:.3f} mm ({worst.rp_pose}); distance {distance.start}-{distance.to}: AD "
+            f"{distance.ad_mm:+z.4f} mm (U {distance.ad_u95_mm:.4f}), RD ±{distance.rd_mm:.4f} "
+            f"mm.{angles} Departures from ISO 9283: {'; '.join(found.deviations)}."
+        )
 
-def commands_rad(cell: Cell, calibrated: bool) -> Array:
-    """Return the joints (5, 6) of the cycle's poses, corrected where a calibration is tested.
+    @staticmethod
+    def commands_rad(cell: Cell, calibrated: bool) -> Array:
+        """Return the joints (5, 6) of the cycle's poses, corrected where a calibration is tested.
 
-    Raises `HilcellError` for poses that cannot be reached.
-    """
-    poses = plan.poses_at(cell, np.array([commanded_mm(cell)[name] for name in CYCLE]))
-    if calibrated:
-        calibration = calibration_named(cell, ISO)
-        poses = corrected_poses(calibration.grid(), poses, calibration.error_model())
-    return plan.check_targets(cell, cell.reference, poses, "ISO 9283 pose")
+        Raises `HilcellError` for poses that cannot be reached.
+        """
+        poses = plan.poses_at(cell, np.array([commanded_mm(cell)[name] for name in CYCLE]))
+        if calibrated:
+            calibration = calibration_named(cell, ISO)
+            poses = corrected_poses(calibration.grid(), poses, calibration.error_model())
+        return plan.check_targets(cell, cell.reference, poses, "ISO 9283 pose")
 
 
 COLUMNS: tuple[Column[tuple[str, Pose]], ...] = (
@@ -148,30 +169,11 @@ COLUMNS: tuple[Column[tuple[str, Pose]], ...] = (
 )
 
 
-def pose_words(result: Result) -> str:
-    found = typed(result[ISO], PoseTest)
-    worst, distance = found.worst, found.distance
-    tested = f"with the correction of {found.corrected_by}" if found.corrected_by else "as it is"
-    turns = ", ".join(
-        f"{each.symbol} {'±' if each.of is RP_ANGLES else ''}{each.value:.4f}° (U {each.U:.4f}, "
-        f"{each.where})"
-        for each in found.figures()
-        if each.of.unit == "deg"
-    )
-    angles = f" Worst of the angles: {turns}." if turns else ""
-    return (
-        f"The robot {tested}: AP_p {worst.ap_mm:.3f} mm at worst ({worst.ap_pose}), RP_l "
-        f"{worst.rp_mm:.3f} mm ({worst.rp_pose}); distance {distance.start}-{distance.to}: AD "
-        f"{distance.ad_mm:+z.4f} mm (U {distance.ad_u95_mm:.4f}), RD ±{distance.rd_mm:.4f} "
-        f"mm.{angles} Departures from ISO 9283: {'; '.join(found.deviations)}."
-    )
-
-
 ISO9283 = Procedure(
     ISO,
     "the pose test of ISO 9283: accuracy and repeatability of poses and a distance",
     (Home(), WorldFrame(), HoldStation(), BaseOfTest(), PoseCycle()),
     lambda result: Table(COLUMNS, typed(result[ISO], PoseTest).poses.items()),
-    words=pose_words,
+    words=PoseCycle.words,
     may_use=ISO,
 )

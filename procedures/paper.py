@@ -65,7 +65,7 @@ from procedures.rail import (
     StationRepeatability,
     StationRepeated,
 )
-from procedures.repeatability import VISITS, Repeatability, distances_mm, floor, places_mm
+from procedures.repeatability import VISITS, Repeatability
 from procedures.robot_grid import RobotGrid
 from procedures.station_frames import (
     FrameRepeatability,
@@ -125,7 +125,7 @@ class Compared:
     def jacobian_error(self) -> float:
         """Return how far eqs 1-7 are from central differences at the grid's vertices, relative."""
         arm = self.log.cell.robot.arm()
-        joints_rad = commanded_rad(self.log.select("grid"))
+        joints_rad = self.commanded_rad(self.log.select("grid"))
         analytic = parameter_jacobian(arm, joints_rad)[:, :3, :]
         worst = 0.0
         for column, parameter in enumerate(PARAMETERS):
@@ -170,7 +170,7 @@ class Compared:
         points = log.select("validate", log.cell.grid.station, how=Sent.IDW)
         nominal_mm = np.array([point.nominal_mm for point in points])
         wanted_mm = apply(inverse(log.matrix("base")), nominal_mm)
-        sent_mm = forward(log.cell.robot.arm(), commanded_rad(points))[:, :3, 3]
+        sent_mm = forward(log.cell.robot.arm(), self.commanded_rad(points))[:, :3, 3]
         grid, errors_mm = grid_of(log.cell), grid_errors_mm(log)
         once_mm = wanted_mm - self._by_eqs_9_10(grid, errors_mm, wanted_mm)
         twice_mm = wanted_mm - self._by_eqs_9_10(grid, errors_mm, grid.clamped(once_mm))
@@ -237,15 +237,15 @@ class Compared:
         The largest residual of cross-validation, and the robot's repeatability (95 %).
         """
         left_mm = self.result.fit.loocv[self.result.method]["max"]
-        return -math.inf, (left_mm + floor(self.log).p95) / self.result.sign.before_mm
+        return -math.inf, (left_mm + Repeatability.floor(self.log).p95) / self.result.sign.before_mm
 
     def circle_residual(self) -> Limits:
         """Return the rms residual of a circle that the robot's repeatability explains.
 
         Repeatability is that of the visits to the cube; a circle's residual has two coordinates.
         """
-        variance_mm2 = rms(distances_mm(self.log)) ** 2 / 3
-        visits_freedom = 3 * len(places_mm(self.log.cell)) * (VISITS - 1)
+        variance_mm2 = rms(Repeatability.distances_mm(self.log)) ** 2 / 3
+        visits_freedom = 3 * len(Repeatability.places_mm(self.log.cell)) * (VISITS - 1)
         circle_freedom = 2 * self.log.cell.base_frame.points - 6
         spread = f_quantile(SURE, circle_freedom, visits_freedom)
         return -math.inf, float(np.sqrt(2 * variance_mm2 * spread))
@@ -319,7 +319,8 @@ class Compared:
     def reduced(self, where: Where) -> Limits:
         """Return the paper's "about 85 %", up to the share that repeatability allows."""
         share = 0.8  # the floor is a mean of 30 distances and scatters by 8 %
-        return 0.85, 1.0 - share * floor(self.log).mean / self.mean(where, Sent.BEFORE)
+        floor_mm = Repeatability.floor(self.log).mean
+        return 0.85, 1.0 - share * floor_mm / self.mean(where, Sent.BEFORE)
 
     @staticmethod
     def _by_eqs_9_10(grid: Grid, errors_mm: Array, points_mm: Array) -> Array:
@@ -351,13 +352,13 @@ class Compared:
             -1, 3
         )
         points_mm = points_mm[Compared._reached(cell, points_mm).any(axis=1)]
-        tools = np.broadcast_to(_tool(cell), (len(points_mm), 1, 3, 3))
+        tools = np.broadcast_to(Compared._tool(cell), (len(points_mm), 1, 3, 3))
         return Holes([f"H{number}" for number in range(len(points_mm))], points_mm, tools)
 
     @staticmethod
     def _reached(cell: Cell, points_mm: Array) -> NDArray[np.bool_]:
         """Return which points (N, 3) in {W} which station serves, (N, S): robot and tracker."""
-        poses, robot = matrix(_tool(cell), points_mm), cell.robot.nominal()
+        poses, robot = matrix(Compared._tool(cell), points_mm), cell.robot.nominal()
         tracker = cell.tracker
         bases = [cell.layout.nominal_base(station.rail_mm) for station in cell.station]
         ok = np.column_stack([robot.reachable(inverse(base) @ poses) for base in bases])
@@ -368,15 +369,15 @@ class Compared:
         served: NDArray[np.bool_] = ok & visible[:, None]
         return served
 
+    @staticmethod
+    def commanded_rad(points: list[Point]) -> Array:
+        """Return the commanded joints (N, 6)."""
+        joints_deg: Array = np.array([point.commanded_deg for point in points], dtype=float)
+        return np.radians(joints_deg)
 
-def commanded_rad(points: list[Point]) -> Array:
-    """Return the commanded joints (N, 6)."""
-    joints_deg: Array = np.array([point.commanded_deg for point in points], dtype=float)
-    return np.radians(joints_deg)
-
-
-def _tool(cell: Cell) -> Array:
-    return cell.layout.nominal_base(0.0)[:3, :3] @ cell.grid.centre.matrix()[:3, :3]
+    @staticmethod
+    def _tool(cell: Cell) -> Array:
+        return cell.layout.nominal_base(0.0)[:3, :3] @ cell.grid.centre.matrix()[:3, :3]
 
 
 # -- rows -----------------------------------------------------------------------------------------
@@ -414,23 +415,23 @@ class Row:
             unit=self.unit,
             holds=is_set or bool(low <= here <= high),
             set=is_set,
-            criterion=self.set_by if is_set else criterion(low, high),
+            criterion=self.set_by if is_set else self._criterion(low, high),
             fails="" if is_set else self.fails,
         )
 
+    @staticmethod
+    def _criterion(low: float, high: float) -> str:
+        if low == high:
+            return f"= {low:.4g}"
+        if np.isinf(high):
+            return f">= {low:.4g}"
+        if np.isinf(low):
+            return f"<= {high:.4g}"
+        return f"{low:.4g} .. {high:.4g}"
 
-def criterion(low: float, high: float) -> str:
-    if low == high:
-        return f"= {low:.4g}"
-    if np.isinf(high):
-        return f">= {low:.4g}"
-    if np.isinf(low):
-        return f"<= {high:.4g}"
-    return f"{low:.4g} .. {high:.4g}"
-
-
-def by_cell(name: str, paper: float, here: Figure) -> Row:
-    return Row(name, paper, "", here, (paper, paper), set_by="cell file")
+    @staticmethod
+    def by_cell(name: str, paper: float, here: Figure) -> Row:
+        return Row(name, paper, "", here, (paper, paper), set_by="cell file")
 
 
 ROWS = (
@@ -497,7 +498,7 @@ ROWS = (
         Compared.plain_range,
         "all approaches come from one side, so that backlash is not seen",
     ),
-    by_cell("fig10.repeats", 15, lambda run: run.result.station_repeatability.repeats),
+    Row.by_cell("fig10.repeats", 15, lambda run: run.result.station_repeatability.repeats),
     Row(
         "sec5.1.temperature.min", 22, "C", lambda run: min(run.log.temperatures_c()),
         (21.9, 24.1), "the laboratory is not the paper's", "simulation",
@@ -510,12 +511,12 @@ ROWS = (
         "sec5.1.tracker", 0.015, "mm", Compared.nests_moved_mm, (-math.inf, 0.015),
         "single readings are taken instead of means, or the tracker moved during the run",
     ),
-    by_cell("fig11.vertices", 64, lambda run: run.result.points["grid"]),
-    by_cell(
+    Row.by_cell("fig11.vertices", 64, lambda run: run.result.points["grid"]),
+    Row.by_cell(
         "fig11.cells", 27,
         lambda run: math.prod(count - 1 for count in grid_of(run.log.cell).shape),
     ),
-    by_cell("fig12.targets", 135, lambda run: run.place("reference").points),
+    Row.by_cell("fig12.targets", 135, lambda run: run.place("reference").points),
     Row(
         "fig12.before.mean", 1.2092, "mm", lambda run: run.mean("reference", Sent.BEFORE),
         (1.09, 1.33), "the robot is not the paper's", "simulation",
@@ -526,7 +527,7 @@ ROWS = (
         "the correction is not sent, has the wrong sign or two axes exchanged",
         chosen=lambda run: run.mean("reference", Sent.CHOSEN),
     ),
-    by_cell("fig13.targets", 150, lambda run: run.place("others").points),
+    Row.by_cell("fig13.targets", 150, lambda run: run.place("others").points),
     Row(
         "fig13.before.mean", 1.2511, "mm", lambda run: run.mean("others", Sent.BEFORE),
         Compared.same_robot,
@@ -605,39 +606,41 @@ class PaperRows:
         """Do nothing: the rows are computed from the journal."""
 
     def result(self, log: Log) -> Result:
-        found = experiments(log)
-        return {"rows": [row.judged(log, found) for row in rows_for(log)]}
+        found = self.experiments(log)
+        return {"rows": [row.judged(log, found) for row in self.rows(log)]}
 
+    @staticmethod
+    def table(result: Result) -> Table:
+        return Table(
+            [
+                Column("row", attrgetter("row")),
+                Column("paper", attrgetter("paper"), form="g"),
+                Column("here", attrgetter("shown"), form=".4g"),
+                Column("chosen", attrgetter("chosen"), form=".4g"),
+                Column("unit", attrgetter("unit")),
+                Column("criterion", attrgetter("criterion")),
+                Column("", attrgetter("verdict")),
+            ],
+            typed(result["rows"], list[PaperRow]),
+        )
 
-def experiments(log: Log) -> Experiments:
-    return typed(Procedure("experiments", "", EXPERIMENTS, paper_table).result(log), Experiments)
+    @staticmethod
+    def experiments(log: Log) -> Experiments:
+        return typed(
+            Procedure("experiments", "", EXPERIMENTS, PaperRows.table).result(log), Experiments
+        )
 
-
-def rows_for(log: Log) -> list[Row]:
-    """Return the rows that the run can answer: those of the air only where it was measured."""
-    return [row for row in ROWS if row.unit != "C" or log.temperatures_c()]
-
-
-def paper_table(result: Result) -> Table:
-    return Table(
-        [
-            Column("row", attrgetter("row")),
-            Column("paper", attrgetter("paper"), form="g"),
-            Column("here", attrgetter("shown"), form=".4g"),
-            Column("chosen", attrgetter("chosen"), form=".4g"),
-            Column("unit", attrgetter("unit")),
-            Column("criterion", attrgetter("criterion")),
-            Column("", attrgetter("verdict")),
-        ],
-        typed(result["rows"], list[PaperRow]),
-    )
+    @staticmethod
+    def rows(log: Log) -> list[Row]:
+        """Return the rows that the run can answer: those of the air only where it was measured."""
+        return [row for row in ROWS if row.unit != "C" or log.temperatures_c()]
 
 
 PAPER = Procedure(
     "paper",
     "every system and experiment of the paper, its figures beside ours",
     (*EXPERIMENTS, PaperRows()),
-    paper_table,
+    PaperRows.table,
     of_rail=True,
     figures="procedures.paper_figures:PaperFigures",
 )

@@ -43,28 +43,11 @@ OCTANTS = np.array(  # of a box, in an order whose every step crosses one face
 BLOCK = len(OCTANTS)
 
 
-def rule_of(cell: Cell, guard: Guard) -> SequentialRule:
-    """Return the rule by which each station is judged.
-
-    Its limits are the tolerances less ``guard``, as in `hilcell.calibration.decision_rule`.
-    """
-    within = guard.within(tolerance_limits(cell))
-    least_mm = 1e-6  # a limit that no error keeps, where U leaves nothing of the tolerance
-    return SequentialRule(
-        mean_limit_mm=max(within.mean_mm, least_mm),
-        max_limit_mm=max(within.max_mm, least_mm),
-        share=cell.plan.share_above_max,
-        accept_risk=cell.plan.accept_risk,
-        reject_risk=cell.plan.reject_risk,
-        block=BLOCK,
-    )
-
-
 def least_targets(cell: Cell) -> int:
     """Return how many targets an acceptance needs at least; raises `HilcellError` where the plan
     has fewer.
     """
-    decision = rule_of(cell, Guard()).decide(np.zeros(cell.plan.most_targets))
+    decision = SequentialRule.of(cell, Guard()).decide(np.zeros(cell.plan.most_targets))
     if decision.outcome is not Outcome.ACCEPTED:
         raise HilcellError(
             f"plan.most_targets {cell.plan.most_targets}: not enough to accept a station at "
@@ -91,8 +74,8 @@ def decision_at(log: Log, station: str) -> Decision:
     """Return what the corrected targets measured so far at a station have shown."""
     chosen = validation(log, [station]).get(Sent.CHOSEN)
     if chosen is None:
-        return rule_of(log.cell, Guard()).decide([])
-    return rule_of(log.cell, guard_at(log, station)).decide(chosen.norms_mm)
+        return SequentialRule.of(log.cell, Guard()).decide([])
+    return SequentialRule.of(log.cell, guard_at(log, station)).decide(chosen.norms_mm)
 
 
 def guard_at(log: Log, station: str) -> Guard:
@@ -233,3 +216,20 @@ class SequentialRule:
         logs = np.cumsum(np.log1p(stakes * gains[:, None]), axis=0)
         won: Bools = np.logaddexp.reduce(logs, axis=1) - np.log(len(stakes)) >= -np.log(risk)
         return won
+
+    @staticmethod
+    def of(cell: Cell, guard: Guard) -> SequentialRule:
+        """Return the rule by which each station is judged.
+
+        Its limits are the tolerances less ``guard``, as in `hilcell.calibration.decision_rule`.
+        """
+        within = guard.within(tolerance_limits(cell))
+        least_mm = 1e-6  # a limit that no error keeps, where U leaves nothing of the tolerance
+        return SequentialRule(
+            mean_limit_mm=max(within.mean_mm, least_mm),
+            max_limit_mm=max(within.max_mm, least_mm),
+            share=cell.plan.share_above_max,
+            accept_risk=cell.plan.accept_risk,
+            reject_risk=cell.plan.reject_risk,
+            block=BLOCK,
+        )

@@ -48,7 +48,7 @@ class Recheck:
 
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse a calibration that is missing, and poses out of reach."""
-        joints_rad = commands_rad(cell, calibration_named(cell, TABLE), seed)
+        joints_rad = self.commands_rad(cell, calibration_named(cell, TABLE), seed)
         check_poses(cell, cell.reference, joints_rad, "re-check pose")
         return PlannedStep.of_spans(
             self.name,
@@ -60,9 +60,9 @@ class Recheck:
         cell = session.cell
         calibration = adopt_calibration(session, TABLE)
         station = cell.reference
-        targets_mm = places_mm(calibration, cell.recheck.poses, session.seed)
+        targets_mm = self.places_mm(calibration, cell.recheck.poses, session.seed)
         nominal_mm = apply(session.log.matrix("base"), targets_mm)
-        joints_rad = commands_rad(cell, calibration, session.seed)
+        joints_rad = self.commands_rad(cell, calibration, session.seed)
         ids = [PointId("recheck", number=n) for n in range(len(targets_mm))]
         for n, id in enumerate(ids):
             session.flange_point(id, station, joints_rad[n], nominal_mm=nominal_mm[n])
@@ -88,6 +88,47 @@ class Recheck:
     def result(self, log: Log) -> Result:
         return {KIND: RecheckResult.of(log)}
 
+    @staticmethod
+    def places_mm(calibration: Calibration, count: int, seed: int) -> Array:
+        """Return targets (N, 3) in {B}, evenly spread over the volume, different for each seed."""
+        low_mm = np.array(calibration.validity.low_mm)
+        high_mm = np.array(calibration.validity.high_mm)
+        begin = np.random.default_rng([seed, 230]).uniform(size=3)
+        root = 1.2207440846057596  # of x^4 = x + 1: its powers spread points evenly in space
+        steps = root ** -np.arange(1.0, 4.0)
+        margin = 0.05  # of the volume's sides
+        share = (begin + np.outer(np.arange(count), steps)) % 1.0
+        places: Array = low_mm + (margin + (1 - 2 * margin) * share) * (high_mm - low_mm)
+        return places
+
+    @staticmethod
+    def _turned(cell: Cell, calibration: Calibration, poses: Array) -> Array:
+        """Poses (N, 4, 4), every other one reoriented where other orientations are calibrated.
+
+        They distinguish a slipped reflector from a moved base. A pose that would be out of reach
+        keeps its orientation.
+        """
+        tilt_deg = calibration.validity.orientation_tolerance_deg
+        if not tilt_deg > ORIENTATION_TOLERANCE_DEG:
+            return poses
+        axes = np.vstack([np.eye(3), -np.eye(3)])
+        station, tilt_share = cell.reference, 0.9  # of the angle by which targets may turn
+        for n in range(1, len(poses), 2):
+            turns = np.radians(tilt_share * tilt_deg) * np.roll(axes, -n, axis=0)
+            tried = reoriented(np.tile(poses[n], (len(turns), 1, 1)), turns)
+            possible = np.flatnonzero(drivable(cell, station, tried))
+            if len(possible):
+                poses[n] = tried[possible[0]]
+        return poses
+
+    @staticmethod
+    def commands_rad(cell: Cell, calibration: Calibration, seed: int) -> Array:
+        """Return the joints (N, 6) of the corrected poses; raises `HilcellError` out of reach."""
+        poses = calibration.poses_at(Recheck.places_mm(calibration, cell.recheck.poses, seed))
+        poses = Recheck._turned(cell, calibration, poses)
+        poses[:, :3, 3] = corrected(calibration.grid(), poses, calibration.error_model())
+        return check_reach(cell, poses, "re-check pose")
+
 
 def adopt_calibration(session: CellSession, table: str) -> Calibration:
     """Return the calibration that this run uses; journal it and its base frame."""
@@ -101,48 +142,6 @@ def adopt_calibration(session: CellSession, table: str) -> Calibration:
         run = calibration.provenance.latest
         session.frame("base", Frame(matrix=entry.T_W_B, calibration=run))
     return calibration
-
-
-def places_mm(calibration: Calibration, count: int, seed: int) -> Array:
-    """Return targets (N, 3) in {B}, evenly spread over the volume, different for each seed."""
-    low_mm, high_mm = (
-        np.array(corner) for corner in (calibration.validity.low_mm, calibration.validity.high_mm)
-    )
-    begin = np.random.default_rng([seed, 230]).uniform(size=3)
-    root = 1.2207440846057596  # of x^4 = x + 1: its powers spread points evenly in space
-    steps = root ** -np.arange(1.0, 4.0)
-    margin = 0.05  # of the volume's sides
-    share = (begin + np.outer(np.arange(count), steps)) % 1.0
-    places: Array = low_mm + (margin + (1 - 2 * margin) * share) * (high_mm - low_mm)
-    return places
-
-
-def _turned(cell: Cell, calibration: Calibration, poses: Array) -> Array:
-    """Poses (N, 4, 4), every other one reoriented where other orientations are calibrated.
-
-    They distinguish a slipped reflector from a moved base. A pose that would be out of reach keeps
-    its orientation.
-    """
-    tilt_deg = calibration.validity.orientation_tolerance_deg
-    if not tilt_deg > ORIENTATION_TOLERANCE_DEG:
-        return poses
-    axes = np.vstack([np.eye(3), -np.eye(3)])
-    station, tilt_share = cell.reference, 0.9  # of the angle by which targets may turn
-    for n in range(1, len(poses), 2):
-        turns = np.radians(tilt_share * tilt_deg) * np.roll(axes, -n, axis=0)
-        tried = reoriented(np.tile(poses[n], (len(turns), 1, 1)), turns)
-        possible = np.flatnonzero(drivable(cell, station, tried))
-        if len(possible):
-            poses[n] = tried[possible[0]]
-    return poses
-
-
-def commands_rad(cell: Cell, calibration: Calibration, seed: int) -> Array:
-    """Return the joints (N, 6) of the corrected poses; raises `HilcellError` out of reach."""
-    poses = calibration.poses_at(places_mm(calibration, cell.recheck.poses, seed))
-    poses = _turned(cell, calibration, poses)
-    poses[:, :3, 3] = corrected(calibration.grid(), poses, calibration.error_model())
-    return check_reach(cell, poses, "re-check pose")
 
 
 COLUMNS: tuple[Column[CheckedPose], ...] = (

@@ -64,24 +64,24 @@ class Reflectors:
         seats = [f"{FLANGE} {n}" for n in range(2, len(cell.robot.seats_mm) + 1)]
         return [*(nest.name for nest in cell.layout.fixed_nests), FLANGE, *seats]
 
-
-def reflector_table(result: Result) -> Table:
-    return Table(
-        [
-            Column("reflector of", attrgetter("place")),
-            Column("along the beam", attrgetter("along_mm"), "mm", "+.4f"),
-            Column("across", attrgetter("across_mm"), "mm", ".4f"),
-            Column("limit", attrgetter("limit_mm"), "mm", ".4f"),
-            Column("", lambda row: "" if row.holds else "differs"),
-        ],
-        typed(result["reflectors"], list[MeasuredReflector]),
-    )
+    @staticmethod
+    def table(result: Result) -> Table:
+        return Table(
+            [
+                Column("reflector of", attrgetter("place")),
+                Column("along the beam", attrgetter("along_mm"), "mm", "+.4f"),
+                Column("across", attrgetter("across_mm"), "mm", ".4f"),
+                Column("limit", attrgetter("limit_mm"), "mm", ".4f"),
+                Column("", lambda row: "" if row.holds else "differs"),
+            ],
+            typed(result["reflectors"], list[MeasuredReflector]),
+        )
 
 
 REFLECTORS = Procedure(
     "reflectors",
     "each reflector once in the same nest, against the others; attended",
     (Home(), WorldFrame(), Reflectors()),
-    reflector_table,
+    Reflectors.table,
     by_hand="carry each reflector to the first floor nest",
 )

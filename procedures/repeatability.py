@@ -27,7 +27,7 @@ from hilcell.model.events import VisitedOnceMore
 from hilcell.model.plan import PlannedStep
 from hilcell.model.point import Point, PointId
 from hilcell.model.results import Floor, Repeated
-from hilcell.model.suspicion import Cause, suspected_in
+from hilcell.model.suspicion import Cause
 from hilcell.model.verdicts import ChangedSince, Revisited, Suspected
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
@@ -58,9 +58,9 @@ class Repeatability:
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse places out of reach."""
         there = cell.reference
-        places = poses_at(cell, places_mm(cell))
+        places = poses_at(cell, self.places_mm(cell))
         places_rad = check_targets(cell, there, places, "repeatability place")
-        visits_rad = np.tile(places_rad, (visits_of(cell), 1))
+        visits_rad = np.tile(places_rad, (self.visits(cell), 1))
         return PlannedStep.of_spans(
             self.name, len(visits_rad), [flange_points(cell, visits_rad), *closing(cell)]
         )
@@ -68,66 +68,70 @@ class Repeatability:
     def perform(self, session: CellSession) -> None:
         """Go round the places, so that each visit comes from another one."""
         station = session.cell.reference
-        joints = joints_for(session.cell, places_mm(session.cell))
+        joints = joints_for(session.cell, self.places_mm(session.cell))
         session.expect(station, np.vstack([joints[-1:], joints]))  # round and round
-        for visit in range(visits_of(session.cell)):
+        for visit in range(self.visits(session.cell)):
             for place, target in enumerate(joints):
                 id = PointId("repeatability", place=place, number=visit)
                 session.flange_point(id, station, target)
         session.close_step()
 
     def result(self, log: Log) -> Result:
-        found = Repeated(rp_mm=rp_mm(log), rp_robot_mm=rp_robot_mm(log), floor_mm=floor(log).mean)
+        found = Repeated(
+            rp_mm=self.rp_mm(log), rp_robot_mm=self.rp_robot_mm(log), floor_mm=self.floor(log).mean
+        )
         return {"repeatability": found}
 
+    @staticmethod
+    def visits(cell: Cell) -> int:
+        return 5 if cell.plan.quick else VISITS
 
-def visits_of(cell: Cell) -> int:
-    return 5 if cell.plan.quick else VISITS
+    @staticmethod
+    def places_mm(cell: Cell) -> Array:
+        """Return the places (3, 3) in {B}: the centre and two opposite corners."""
+        centre = cell.grid.centre.matrix()[:3, 3]
+        half = np.array(cell.grid.size_mm) / 2
+        return np.array([centre, centre - half, centre + half])
 
+    @staticmethod
+    def _clouds(log: Log) -> list[list[Point]]:
+        places = range(len(Repeatability.places_mm(log.cell)))
+        return [log.select("repeatability", place=n) for n in places]
 
-def places_mm(cell: Cell) -> Array:
-    """Return the places (3, 3) in {B}: the centre and two opposite corners."""
-    centre = cell.grid.centre.matrix()[:3, 3]
-    half = np.array(cell.grid.size_mm) / 2
-    return np.array([centre, centre - half, centre + half])
+    @staticmethod
+    def distances_mm(log: Log) -> Array:
+        """Distance of each visit from its place's mean, all places together (N,). The mean of n
+        visits scatters too, so distances are multiplied by sqrt(n / (n - 1)).
+        """
+        clouds_mm = [positions_mm(place) for place in Repeatability._clouds(log)]
+        return np.concatenate(
+            [from_mean_mm(cloud) * np.sqrt(len(cloud) / (len(cloud) - 1)) for cloud in clouds_mm]
+        )
 
+    @staticmethod
+    def rp_mm(log: Log) -> float:
+        """RP = mean + 3 s of the distances, all places together (ISO 9283, 7.2.2). One place has
+        too few visits: three places make the standard's 30, and half of them on a quick plan.
+        """
+        return repeatability_mm(Repeatability.distances_mm(log))
 
-def _visits(log: Log) -> list[list[Point]]:
-    return [log.select("repeatability", place=n) for n in range(len(places_mm(log.cell)))]
+    @staticmethod
+    def rp_robot_mm(log: Log) -> float:
+        """RP less the tracker's noise; 0 where the noise explains all.
 
+        Mean squares subtract: that of the distances less that of the readings, as the tracker
+        states them. Distances are assumed to keep the shape of their distribution.
+        """
+        points = [point for place in Repeatability._clouds(log) for point in place]
+        noise_mm2 = float(variances_mm2(points).sum(axis=1).mean())
+        share = 1.0 - noise_mm2 / rms(Repeatability.distances_mm(log)) ** 2
+        return Repeatability.rp_mm(log) * math.sqrt(max(0.0, share))
 
-def distances_mm(log: Log) -> Array:
-    """Distance of each visit from its place's mean, all places together (N,). The mean of n visits
-    scatters too, so distances are multiplied by sqrt(n / (n - 1)).
-    """
-    clouds_mm = [positions_mm(place) for place in _visits(log)]
-    return np.concatenate(
-        [from_mean_mm(cloud) * np.sqrt(len(cloud) / (len(cloud) - 1)) for cloud in clouds_mm]
-    )
-
-
-def rp_mm(log: Log) -> float:
-    """RP = mean + 3 s of the distances, all places together (ISO 9283, 7.2.2). One place has too
-    few visits: three places make the standard's 30, and half of them on a quick plan.
-    """
-    return repeatability_mm(distances_mm(log))
-
-
-def rp_robot_mm(log: Log) -> float:
-    """RP less the tracker's noise; 0 where the noise explains all.
-
-    Mean squares subtract: that of the distances less that of the readings, as the tracker states
-    them. Distances are assumed to keep the shape of their distribution.
-    """
-    points = [point for place in _visits(log) for point in place]
-    share = 1.0 - float(variances_mm2(points).sum(axis=1).mean()) / rms(distances_mm(log)) ** 2
-    return rp_mm(log) * math.sqrt(max(0.0, share))
-
-
-def floor(log: Log) -> Floor:
-    """Return mean and p95 of a perfect map's errors: one visit's distance from the mean."""
-    figures = figures_of(distances_mm(log))
-    return Floor(mean=figures.mean, p95=figures.p95)
+    @staticmethod
+    def floor(log: Log) -> Floor:
+        """Return mean and p95 of a perfect map's errors: one visit's distance from the mean."""
+        figures = figures_of(Repeatability.distances_mm(log))
+        return Floor(mean=figures.mean, p95=figures.p95)
 
 
 # -- poses that are re-visited ---------------------------------------------------------------------
@@ -241,11 +245,6 @@ def visits(cell: Cell, kind: str) -> list[Visit]:
         sent = [below, above] if n in sides else [below]
         found += [Visit(id, joints_rad[n], vertices_mm[n]) for id in sent]
     return found
-
-
-def suspicion_words(result: Result) -> str:
-    found = suspected_in(result)
-    return "\n".join(f"Suspected: {each.text}. {each.cause.advice}" for each in found)
 
 
 def judge_suspicions(session: CellSession) -> None:

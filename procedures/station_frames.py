@@ -100,6 +100,20 @@ class StationFrames:
             }
         }
 
+    @staticmethod
+    def table(result: Result) -> Table:
+        return Table(
+            [
+                Column("station", itemgetter(0)),
+                Column("strip", lambda row: row[1].strip_mm, "mm", ".2f"),
+                Column("fit rms", lambda row: row[1].rms_mm, "mm", ".4f"),
+                Column("tool point u", lambda row: row[1].tool_uncertainty_mm, "mm", ".4f"),
+                Column("worst corner u", lambda row: row[1].cube_uncertainty_mm, "mm", ".4f"),
+                Column("left out", lambda row: ", ".join(row[1].left_out) or "none"),
+            ],
+            typed(result["stations"], dict[str, FramedStation]).items(),
+        )
+
 
 def nest_points(cell: Cell) -> int:
     return len(cell.layout.slide) + (0 if cell.plan.quick else FEW)
@@ -353,25 +367,25 @@ class FrameRepeatability:
         world_mm = apply(log.matrix("world"), positions_mm(log.select("six", station.name)))
         return apply(inverse(log.matrix(f"{kind}.{station.name}")), world_mm)
 
-
-def frame_repeatability_table(result: Result) -> Table:
-    found = typed(result["frame_repeatability"], FramesRepeated)
-    rows: list[tuple[str, float | None, float | None]] = [
-        (f"{name}, point {n}", *both)
-        for name, in_base_mm in found.base.items()
-        for n, both in enumerate(zip(in_base_mm, found.station[name], strict=True), 1)
-    ]
-    low, high = found.ratio_interval
-    rows.append(("rms", found.rms_mm["base"], found.rms_mm["station"]))
-    rows.append((f"ratio {found.ratio:.1f} (95 %: {low:.1f} .. {high:.1f})", None, None))
-    return Table(
-        [
-            Column("moved against the reference", itemgetter(0)),
-            Column("base frame", itemgetter(1), "mm", ".4f"),
-            Column("station frame", itemgetter(2), "mm", ".4f"),
-        ],
-        rows,
-    )
+    @staticmethod
+    def table(result: Result) -> Table:
+        found = typed(result["frame_repeatability"], FramesRepeated)
+        rows: list[tuple[str, float | None, float | None]] = [
+            (f"{name}, point {n}", *both)
+            for name, in_base_mm in found.base.items()
+            for n, both in enumerate(zip(in_base_mm, found.station[name], strict=True), 1)
+        ]
+        low, high = found.ratio_interval
+        rows.append(("rms", found.rms_mm["base"], found.rms_mm["station"]))
+        rows.append((f"ratio {found.ratio:.1f} (95 %: {low:.1f} .. {high:.1f})", None, None))
+        return Table(
+            [
+                Column("moved against the reference", itemgetter(0)),
+                Column("base frame", itemgetter(1), "mm", ".4f"),
+                Column("station frame", itemgetter(2), "mm", ".4f"),
+            ],
+            rows,
+        )
 
 
 SIGMAS = 4.0  # known ones. 28 pairs of 8 nests at 3 stations: by chance one in a hundred runs

@@ -198,7 +198,7 @@ class TouchStation:
 
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse a station that is not calibrated, and poses out of reach."""
-        station = station_of(cell)
+        station = self.station(cell)
         self._entry(calibration_named(cell, TABLE), station)
         touch = touch_spans(cell, station)
         if not touch:
@@ -210,7 +210,7 @@ class TouchStation:
         return PlannedStep.of_spans(self.name, touch[0].measured, spans)
 
     def perform(self, session: CellSession) -> None:
-        calibration, station = adopt_calibration(session, TABLE), station_of(session.cell)
+        calibration, station = adopt_calibration(session, TABLE), self.station(session.cell)
         reference = session.cell.reference
         for each in (reference, station):
             key, entry = f"station.{each.name}", self._entry(calibration, each)
@@ -227,7 +227,7 @@ class TouchStation:
         found = touches(log)
         if not found:
             return {}
-        station = station_of(log.cell).name
+        station = self.station(log.cell).name
         touched = Touching(station=station, calibration=used_calibration(log).provenance.latest)
         return {"touch": found, "touched": touched}
 
@@ -241,45 +241,44 @@ class TouchStation:
             )
         return calibration.stations[station.name]
 
+    @staticmethod
+    def table(result: Result) -> Table:
+        return Table(
+            [
+                Column("station", itemgetter(0)),
+                Column("poses", lambda row: row[1].poses, form="d"),
+                Column("along rail", lambda row: row[1].along_rail_mm, "mm", "+z.4f"),
+                Column("shift", lambda row: float(np.linalg.norm(row[1].shift_mm)), "mm", ".4f"),
+                Column("turn", lambda row: float(np.linalg.norm(row[1].turn_urad)), "µrad", ".1f"),
+                Column("u before", lambda row: row[1].u_before_mm, "mm", ".4f"),
+                Column("u", lambda row: row[1].u_after_mm, "mm", ".4f"),
+            ],
+            typed(result.get("touch", {}), dict[str, TouchFound]).items(),
+        )
 
-def station_of(cell: Cell) -> Station:
-    """Return the station that is touched; raises `SettingsError` for one that is unknown."""
-    return cell.station_named(cell.touch.station or cell.grid.station)
+    @staticmethod
+    def words(result: Result) -> str:
+        if "touched" not in result:
+            return ""
+        found = typed(result["touched"], Touching)
+        return (
+            f"Calibration {found.calibration} was used; this run's own has the base of "
+            f"{found.station} on this visit: `hilcell compensate` with this run's name and "
+            f"--station {found.station} holds until the slide moves."
+        )
 
-
-def touch_table(result: Result) -> Table:
-    return Table(
-        [
-            Column("station", itemgetter(0)),
-            Column("poses", lambda row: row[1].poses, form="d"),
-            Column("along rail", lambda row: row[1].along_rail_mm, "mm", "+z.4f"),
-            Column("shift", lambda row: float(np.linalg.norm(row[1].shift_mm)), "mm", ".4f"),
-            Column("turn", lambda row: float(np.linalg.norm(row[1].turn_urad)), "µrad", ".1f"),
-            Column("u before", lambda row: row[1].u_before_mm, "mm", ".4f"),
-            Column("u", lambda row: row[1].u_after_mm, "mm", ".4f"),
-        ],
-        typed(result.get("touch", {}), dict[str, TouchFound]).items(),
-    )
-
-
-def touch_words(result: Result) -> str:
-    if "touched" not in result:
-        return ""
-    found = typed(result["touched"], Touching)
-    return (
-        f"Calibration {found.calibration} was used; this run's own has the base of {found.station} "
-        "on this visit: `hilcell compensate` with this run's name and --station "
-        f"{found.station} holds until "
-        "the slide moves."
-    )
+    @staticmethod
+    def station(cell: Cell) -> Station:
+        """Return the station that is touched; raises `SettingsError` for one that is unknown."""
+        return cell.station_named(cell.touch.station or cell.grid.station)
 
 
 TOUCH = Procedure(
     "touch",
     "before work at a station: its base frame on this visit, for corrected programs",
     (Home(), WorldFrame(), TouchStation()),
-    touch_table,
-    words=touch_words,
+    TouchStation.table,
+    words=TouchStation.words,
     uses=TABLE,
     of_rail=True,
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from itertools import product
+from operator import itemgetter
 
 import numpy as np
 from msgspec.structs import replace
@@ -34,18 +35,21 @@ from hilcell.compensation.correction import corrected_poses
 from hilcell.compensation.interpolation import Idw
 from hilcell.compensation.model import ErrorModel
 from hilcell.compensation.model_choice import MODELS
+from hilcell.decoding import typed
 from hilcell.geometry.frames import apply, inverse, matrix
+from hilcell.geometry.statistics import Figures
 from hilcell.journal.log import Log
 from hilcell.model.plan import PlannedStep
 from hilcell.model.point import BOTH, PointId, Sent
 from hilcell.model.results import Place, SentErrors, TargetBounds
 from hilcell.model.verdicts import OTHERS, VALIDATION, Oriented
 from hilcell.ports import Array
+from hilcell.present.table import Column, Named, Table, Value
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result
 from procedures import plan, quick_validation
 from procedures.fit import orients
-from procedures.repeatability import floor, judge_suspicions
+from procedures.repeatability import Repeatability, judge_suspicions
 from procedures.station_frames import frame_spans, frame_station, nest_points
 from procedures.touch_station import touch_once, touch_spans, touches
 
@@ -237,7 +241,7 @@ class Validate:
             idw=sent.get(Sent.IDW),
             chosen=sent[Sent.CHOSEN],
             decision=quick_validation.judgement(log, stations) if log.cell.plan.quick else None,
-            floor=floor(log) if together else None,
+            floor=Repeatability.floor(log) if together else None,
         )
 
     @staticmethod
@@ -254,6 +258,40 @@ class Validate:
             return None
         return (
             quick_validation.least_targets(cell) if how == Sent.CHOSEN else quick_validation.BLOCK
+        )
+
+    @staticmethod
+    def table(result: Result) -> Table:
+        places, method = typed(result["validation"], dict[str, Place]), str(result["method"])
+        rows = list[tuple[Value, ...]]()
+        for where, place in places.items():
+            judged = "" if place.decision is None else f", {place.decision.outcome.text}"
+            named = {way: Named(way, way.text) for way in Sent}
+            named[Sent.CHOSEN] = Named(f"chosen: {method}{judged}", f"{Sent.CHOSEN.text}{judged}")
+            for way, errors in place.sent.items():
+                figures = [getattr(errors, name) for name in Figures._fields]
+                figures += [
+                    getattr(errors.orientation, f"{name}_deg", None) for name in Figures._fields
+                ]
+                first = where if way is Sent.BEFORE else ""
+                rows.append((first, place.points_sent.get(way), named[way], *figures))
+            if place.floor is not None:  # the errors that are left
+                left = place.floor.mean, place.floor.p95, None
+                rows.append(("", None, Named("floor", "floor"), *left, None, None, None))
+        oriented = any(place.before.orientation is not None for place in places.values())
+        turns = Figures._fields if oriented else ()
+        return Table(
+            [
+                Column("station", itemgetter(0)),
+                Column("points", itemgetter(1), form="d"),
+                Column("error of", itemgetter(2)),
+                *(
+                    Column(n, itemgetter(at), "mm", ".4f")
+                    for at, n in enumerate(Figures._fields, 3)
+                ),
+                *(Column(f"turn {n}", itemgetter(at), "°", ".4f") for at, n in enumerate(turns, 6)),
+            ],
+            rows,
         )
 
 

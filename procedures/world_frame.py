@@ -130,7 +130,7 @@ class TwoFaces:
 
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Return the step; skipped where the tracker or the plan does not allow it."""
-        if reason := left_out(cell):
+        if reason := self.left_out(cell):
             return PlannedStep(self.name, 0, 0.0, note=reason)
         count, face_s = len(self._nests(cell)), 4.0  # to turn over and point
         each_s = 2.0 * face_s + plan.measure_s(cell, self.SAMPLES)
@@ -139,7 +139,7 @@ class TwoFaces:
     def perform(self, session: CellSession) -> None:
         """Measure and judge, once; an axis that is off pauses an attended run."""
         cell, log = session.cell, session.log
-        if left_out(cell) or self._verdict in log.verdicts:
+        if self.left_out(cell) or self._verdict in log.verdicts:
             return
         for nest in self._nests(cell):
             session.second_face_point(
@@ -164,15 +164,15 @@ class TwoFaces:
         key = self._verdict.replace("-", "_").replace(".", "_")
         return {} if found is None else {key: found}
 
-
-def left_out(cell: Cell) -> str:
-    """Return why the tracker is not turned over; "" where it is."""
-    if not abilities(cell)["tracker_turns_over"]:
-        reason = "this tracker's driver does not turn it over"
-    elif cell.layout.by_hand:
-        reason = "the reflector is carried by hand"
-    elif cell.plan.quick:
-        reason = "a quick plan has no time for it"
-    else:
-        return ""
-    return f"{reason}: errors of its axes (collimation, transit tilt, index) are not seen"
+    @staticmethod
+    def left_out(cell: Cell) -> str:
+        """Return why the tracker is not turned over; "" where it is."""
+        if not abilities(cell)["tracker_turns_over"]:
+            reason = "this tracker's driver does not turn it over"
+        elif cell.layout.by_hand:
+            reason = "the reflector is carried by hand"
+        elif cell.plan.quick:
+            reason = "a quick plan has no time for it"
+        else:
+            return ""
+        return f"{reason}: errors of its axes (collimation, transit tilt, index) are not seen"

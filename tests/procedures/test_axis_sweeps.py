@@ -20,7 +20,7 @@ from hilcell.identification.sweeps import transmission_curve
 from hilcell.ports import Array, HilcellError, JointSample, NoReading, RobotReading, StreamBlock
 from hilcell.run import mover
 from procedures import axis_sweeps
-from procedures.axis_sweeps import AxisSweeps, axes_of, cube_joints, ends_rad, left_out, sweep_table
+from procedures.axis_sweeps import AxisSweeps, CubeJoints, left_out
 from tests.hilcell.identification.axis_streams import Axis, periodic
 from tests.hilcell.run.bed import CELL, Bed
 from tests.hilcell.run.rig import DeskRail, DeskRobot, DeskTracker, procedure
@@ -142,7 +142,7 @@ def test_a_curve_is_journalled_as_data_and_never_swept_for_again(bed: Bed) -> No
     (figures,) = result_of(AxisSweeps(), log)["sweeps"]["axes"]
     assert figures["used"]
     assert figures["axis"] == 1
-    assert sweep_table(result_of(AxisSweeps(), log)).rows[0][:2] == ["A1", "yes"]
+    assert AxisSweeps.table(result_of(AxisSweeps(), log)).rows[0][:2] == ["A1", "yes"]
     assert bed.run(ACT) == 0
     assert parts(bed)[1].streams == 2
 
@@ -169,7 +169,7 @@ def test_after_a_fault_the_sweep_that_was_finished_is_not_repeated(bed: Bed) -> 
 class UpAlone(Connected):
     def perform(self, session: Any) -> None:
         session.reach("connect")
-        self._sweep(session, cube_joints(CELL), 1, "up")
+        self._sweep(session, CubeJoints.of(CELL), 1, "up")
 
 
 def test_a_stream_that_cannot_be_used_is_an_alarm_and_no_curve(bed: Bed) -> None:
@@ -218,9 +218,9 @@ def test_a_cell_without_volumes_or_axes_sweeps_nothing() -> None:
 
 
 def test_each_axis_turns_alone_over_what_the_cube_needs() -> None:
-    cube = cube_joints(CELL)
-    for axis in axes_of(CELL):
-        up, down = ends_rad(CELL, cube, axis, "up"), ends_rad(CELL, cube, axis, "down")
+    cube = CubeJoints.of(CELL)
+    for axis in AxisSweeps.axes(CELL):
+        up, down = cube.ends_rad(CELL, axis, "up"), cube.ends_rad(CELL, axis, "down")
         moving = np.flatnonzero(up[0] != up[1])
         assert moving.tolist() == [axis - 1]
         assert up[0][axis - 1] < up[1][axis - 1]
@@ -228,10 +228,10 @@ def test_each_axis_turns_alone_over_what_the_cube_needs() -> None:
 
 
 def test_the_plan_states_how_long_the_sweeps_take() -> None:
-    step, cube = AxisSweeps().plan(CELL, 1), cube_joints(CELL)
+    step, cube = AxisSweeps().plan(CELL, 1), CubeJoints.of(CELL)
     turned_deg = sum(
-        2 * float(np.degrees(np.ptp(ends_rad(CELL, cube, axis, "up"), axis=0)).max())
-        for axis in axes_of(CELL)
+        2 * float(np.degrees(np.ptp(cube.ends_rad(CELL, axis, "up"), axis=0)).max())
+        for axis in AxisSweeps.axes(CELL)
     )
     assert turned_deg < step.duration_s < turned_deg + 60.0
     assert step.spans[0].measured == 8

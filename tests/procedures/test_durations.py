@@ -17,7 +17,7 @@ from hilcell.model.plan import PlannedStep
 from procedures import plan
 from procedures.paper import EXPERIMENTS
 from procedures.plan import first_pass_percent, flange_points, joints_for
-from procedures.repeatability import places_mm
+from procedures.repeatability import Repeatability
 
 CELL = load_cell("paper")
 PARTS = {part.name: part for part in EXPERIMENTS}
@@ -98,7 +98,7 @@ def test_a_robot_twice_as_fast_shortens_what_it_moves_and_nothing_else() -> None
 def test_a_plan_counts_with_the_first_pass() -> None:
     """Poses outside of the cube are driven to slowly; those in it are not."""
     home = np.radians([CELL.robot.home_deg])
-    cube = joints_for(CELL, places_mm(CELL))[:1]
+    cube = joints_for(CELL, Repeatability.places_mm(CELL))[:1]
     usual = CELL.robot.speed_percent
     assert first_pass_percent(CELL, np.vstack([home, cube])).tolist() == [10.0, usual]
     slow = load_cell("paper", {"robot.first_pass_percent": "5.0"})

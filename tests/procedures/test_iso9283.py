@@ -16,7 +16,7 @@ from hilcell.cell.file import load_cell
 from hilcell.geometry.kinematics import forward
 from hilcell.ports import Array
 from procedures import iso9283
-from procedures.iso9283 import PoseCycle, commands_rad
+from procedures.iso9283 import PoseCycle
 from tests.hilcell.calibration.calibrations import LOW_MM, PITCH_MM, calibration
 
 CELL = load_cell("paper", {"iso9283.velocity_percent": "55"})
@@ -35,7 +35,7 @@ def test_a_calibration_is_tested_by_poses_that_it_has_corrected(tmp_path: Path) 
     cell = load_cell("paper", {"iso9283.calibration": str(file)})
     wanted_mm = np.array([commanded_mm(cell)[name] for name in CYCLE])
     as_it_is, corrected = (
-        forward(cell.robot.arm(), commands_rad(cell, calibrated))[:, :3, 3]
+        forward(cell.robot.arm(), PoseCycle.commands_rad(cell, calibrated))[:, :3, 3]
         for calibrated in (False, True)
     )
     np.testing.assert_allclose(as_it_is, wanted_mm, atol=1e-6)

@@ -18,12 +18,12 @@ from hilcell.geometry.frames import turned_deg
 from hilcell.geometry.kinematics import forward
 from hilcell.journal.log import Log
 from hilcell.ports import HilcellError
-from procedures.base_frame import FEWEST_ON_ARC, arcs, sweep
+from procedures.base_frame import FEWEST_ON_ARC, BaseFrame, sweep
 from procedures.calibrate import CALIBRATE
-from procedures.paper import ROWS, rows_for
+from procedures.paper import ROWS, PaperRows
 from procedures.plan import check_range, check_reach, joints_for, poses_at
-from procedures.rail import random_sides
-from procedures.recheck import commands_rad
+from procedures.rail import StationRepeatability
+from procedures.recheck import Recheck
 from procedures.validate import MARGIN_MM, targets
 from tests.hilcell.alarms.journals import log_of, point
 from tests.hilcell.calibration.calibrations import calibration
@@ -51,7 +51,7 @@ def test_targets_fill_every_grid_cell(seed: int) -> None:
 
 @given(seed=st.integers(0, 2**31), repeats=st.integers(4, 50))
 def test_half_of_the_approaches_come_from_each_side(seed: int, repeats: int) -> None:
-    sides = random_sides(seed, repeats)
+    sides = StationRepeatability.sides(seed, repeats)
     assert sorted(set(sides)) == [-1, 1]
     assert abs(sum(sides)) <= 1
 
@@ -106,14 +106,14 @@ by_points = given(points=st.integers(4, 200))
 
 @by_points
 def test_every_arc_has_points_enough_for_a_circle_and_no_others(points: int) -> None:
-    for arc in arcs(points):
+    for arc in BaseFrame.arcs(points):
         assert len(arc) >= min(points, FEWEST_ON_ARC)
         assert set(arc) <= set(range(points))
 
 
 @by_points
 def test_arcs_grow_about_the_middle_to_the_whole_sweep(points: int) -> None:
-    found = arcs(points)
+    found = BaseFrame.arcs(points)
     assert found[-1] == range(points)
     for shorter, wider in pairwise(found):
         assert set(shorter) <= set(wider)
@@ -132,7 +132,7 @@ def test_every_other_pose_is_turned(tolerance_deg: float, wanted_deg: list[float
     made = calibration()
     validity = msgspec.structs.replace(made.validity, orientation_tolerance_deg=tolerance_deg)
     made = msgspec.structs.replace(made, validity=validity)
-    poses = forward(CELL.robot.arm(), commands_rad(CELL, made, 3))
+    poses = forward(CELL.robot.arm(), Recheck.commands_rad(CELL, made, 3))
     found_deg = turned_deg(np.array(validity.orientation), poses)
     np.testing.assert_allclose(found_deg, wanted_deg, atol=1e-4)
 
@@ -163,7 +163,7 @@ AIR = {"sec5.1.temperature.min", "sec5.1.temperature.max"}
 
 
 def names_for(log: Log) -> set[str]:
-    return {row.name for row in rows_for(log)}
+    return {row.name for row in PaperRows.rows(log)}
 
 
 def test_the_rows_of_the_air_need_a_weather_station() -> None:

@@ -11,7 +11,7 @@ from hilcell.cell.file import Cell, load_cell
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
 from hilcell.model.point import Point, PointId
-from procedures.repeatability import floor, rp_mm, rp_robot_mm, visits_of
+from procedures.repeatability import Repeatability
 from tests.whole.bench import record_of
 from tests.whole.golden import GoldenRuns
 
@@ -27,7 +27,7 @@ class Visits(Log):
         self._cell = cell
         rng = np.random.default_rng(seed)
         for place in range(PLACES):
-            for visit in range(visits_of(cell)):
+            for visit in range(Repeatability.visits(cell)):
                 noise_mm = rng.standard_normal(3) * robot_mm
                 noise_mm += rng.standard_normal(3) * np.array(TRACKER_MM)
                 id = PointId("repeatability", place=place, number=visit)
@@ -57,9 +57,11 @@ def logs(request: pytest.FixtureRequest) -> list[Visits]:
 def test_the_robots_rp_has_the_trackers_noise_taken_off(logs: list[Visits]) -> None:
     """16.6 um on each Cartesian axis is RP .06 (the distances are Maxwell's)."""
     off_mm = 0.004 if logs[0].cell.plan.quick else 0.003  # s of few visits is a little low
-    assert np.mean([rp_robot_mm(log) for log in logs]) == pytest.approx(0.060, abs=off_mm)
+    assert np.mean([Repeatability.rp_robot_mm(log) for log in logs]) == pytest.approx(
+        0.060, abs=off_mm
+    )
     whole_mm = float(np.sqrt(3 * 0.0166**2 + np.square(TRACKER_MM).sum()))
-    assert np.mean([rp_mm(log) for log in logs]) == pytest.approx(
+    assert np.mean([Repeatability.rp_mm(log) for log in logs]) == pytest.approx(
         0.060 * whole_mm / (0.0166 * np.sqrt(3)), abs=off_mm
     )
 
@@ -67,11 +69,13 @@ def test_the_robots_rp_has_the_trackers_noise_taken_off(logs: list[Visits]) -> N
 def test_the_floor_does_not_depend_on_few_visits(logs: list[Visits]) -> None:
     sigma_mm = np.sqrt((0.0166**2 * 3 + np.square(TRACKER_MM).sum()) / 3)
     mean_mm = 2 * sigma_mm * np.sqrt(2 / np.pi)  # of a Maxwell distribution
-    assert np.mean([floor(log).mean for log in logs]) == pytest.approx(mean_mm, rel=0.02)
+    assert np.mean([Repeatability.floor(log).mean for log in logs]) == pytest.approx(
+        mean_mm, rel=0.02
+    )
 
 
 def test_a_robot_that_is_better_than_the_tracker_has_no_rp_of_its_own() -> None:
-    found = [rp_robot_mm(Visits(load_cell("paper"), 0.0, seed)) for seed in range(20)]
+    found = [Repeatability.rp_robot_mm(Visits(load_cell("paper"), 0.0, seed)) for seed in range(20)]
     assert min(found) == 0.0
     assert max(found) < 0.03
 

@@ -26,7 +26,7 @@ from hilcell.journal.log import Log
 from hilcell.model.point import Point, PointId
 from hilcell.model.verdicts import SignChecked, Verdict
 from hilcell.ports import Array
-from procedures.fit import SIGN_IDS, Fit, SignCheck, worst_mm
+from procedures.fit import SIGN_IDS, Fit, SignCheck
 from procedures.plan import joints_for
 from tests.hilcell.calibration.calibrations import calibration
 from tests.hilcell.fit.test_fit import IRB120, SMR_MM
@@ -132,7 +132,7 @@ def bench() -> Any:
 
 
 def test_the_worst_cell_is_chosen(bench: Any) -> None:
-    np.testing.assert_allclose(worst_mm(bench.log), [grid_of(CELL).far_mm - 225.0])
+    np.testing.assert_allclose(SignCheck.worst_mm(bench.log), [grid_of(CELL).far_mm - 225.0])
 
 
 def test_the_right_sign_holds(bench: Any) -> None:
@@ -141,7 +141,7 @@ def test_the_right_sign_holds(bench: Any) -> None:
     assert verdict is not None
     assert verdict.holds is True
     assert verdict.before_mm == pytest.approx(
-        float(np.linalg.norm(error_mm(worst_mm(bench.log)))), abs=1e-6
+        float(np.linalg.norm(error_mm(SignCheck.worst_mm(bench.log)))), abs=1e-6
     )
     assert verdict.corrected_mm < 0.01
     assert [bench.log.point(id).group for id in SIGN_IDS.values()] == [
@@ -164,7 +164,7 @@ def test_the_limit_is_wider_by_the_noise_of_the_readings(
     bench: Any, std_mm: float, limit: float
 ) -> None:
     """A single target by a coarse instrument comes less than half as close by chance."""
-    before_mm = float(np.linalg.norm(error_mm(worst_mm(bench.log))))
+    before_mm = float(np.linalg.norm(error_mm(SignCheck.worst_mm(bench.log))))
     for key, each in bench.log.points.items():
         bench.log.points[key] = msgspec.structs.replace(each, std_mm=(std_mm,) * 3)
     bench.std_mm, bench.off_mm = std_mm, 0.6 * before_mm

@@ -13,7 +13,7 @@ from hilcell.model.suspicion import Cause
 from hilcell.run import procedure
 from hilcell.run.procedure import Procedure
 from procedures.calibrate import CALIBRATE, point_table
-from procedures.world_frame import Home, TwoFaces, WorldFrame, left_out
+from procedures.world_frame import Home, TwoFaces, WorldFrame
 
 CELL = load_cell("paper")
 BOTH = Procedure("both", "", (Home(), WorldFrame(), TwoFaces()), point_table)
@@ -32,7 +32,7 @@ BOTH = Procedure("both", "", (Home(), WorldFrame(), TwoFaces()), point_table)
 def test_a_plan_says_why_a_tracker_is_not_turned_over(
     cell: str, values: dict[str, str], word: str
 ) -> None:
-    reason = left_out(load_cell(cell, values))
+    reason = TwoFaces.left_out(load_cell(cell, values))
     assert word in reason
     assert bool(word) == bool(reason)
 

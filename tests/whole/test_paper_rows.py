@@ -35,7 +35,7 @@ from hilcell.ports import Array
 from hilcell.programs import plan as planning
 from hilcell.programs.plan import HolePlan
 from procedures import rail, station_frames
-from procedures.paper import ROWS, Experiments, Row, commanded_rad, experiments, paper_table
+from procedures.paper import ROWS, Compared, Experiments, PaperRows, Row
 from procedures.plan import joints_for, poses_at
 from procedures.station_frames import Moved, station_fit, tool_uncertainty_mm
 from tests.hilcell.compensation.models import predicted_mm
@@ -53,7 +53,7 @@ REFERENCE, OTHERS = "S1100", ("S300", "S1900")
 
 def rows_of(log: Log) -> dict[str, PaperRow]:
     """Return all rows, judged on this log alone."""
-    found = experiments(log)
+    found = PaperRows.experiments(log)
     return {row.name: row.judged(log, found) for row in ROWS}
 
 
@@ -63,7 +63,7 @@ def failing(log: Log) -> set[str]:
 
 def fails(name: str, log: Log) -> bool:
     """Whether one row fails, judged on this log alone."""
-    return not BY_NAME[name].judged(log, experiments(log)).holds
+    return not BY_NAME[name].judged(log, PaperRows.experiments(log)).holds
 
 
 def changed(log: Log, points: Iterable[Point]) -> Log:
@@ -149,12 +149,12 @@ def test_rows_that_cannot_fail_say_so_and_all_others_say_when_they_fail(paper: G
     assert {name for name, row in rows.items() if row["set"]} == SET
     for name, row in rows.items():
         assert bool(row["fails"]) is (name not in SET)
-    shown = {cells[0]: cells[-1] for cells in paper_table(paper.result).rows}
+    shown = {cells[0]: cells[-1] for cells in PaperRows.table(paper.result).rows}
     assert {name for name, word in shown.items() if word == "set"} == SET
 
 
 def test_round_off_is_shown_without_its_digits_which_differ_between_pcs(paper: GoldenRun) -> None:
-    shown = {cells[0]: cells[2] for cells in paper_table(paper.result).rows}
+    shown = {cells[0]: cells[2] for cells in PaperRows.table(paper.result).rows}
     assert {name for name, here in shown.items() if here == "< 1e-09"} == {
         "eq1-7.jacobian", "eq9.weights",
     }  # fmt: skip
@@ -294,7 +294,7 @@ def test_commands_by_another_equation(
         grid_of(log.cell), poses_at(log.cell, wanted_mm), Idw.of_grid(measured_grid(log))
     )
     right_deg = np.degrees(joints_for(log.cell, right_mm))
-    sent_deg = np.degrees(commanded_rad(points))
+    sent_deg = np.degrees(Compared.commanded_rad(points))
     np.testing.assert_allclose(right_deg, sent_deg, atol=1e-6)
 
 
@@ -331,7 +331,7 @@ def test_the_factors_of_eq_17_exchanged(paper: GoldenRun, monkeypatch: pytest.Mo
 def test_a_point_of_a_sweep_measured_while_axis_2_moves(log: Log) -> None:
     """0.05 deg before its end; the swept axis itself would only shift the point on its circle."""
     early = log.points["base/axis1/000"]
-    joints_rad = commanded_rad([early])
+    joints_rad = Compared.commanded_rad([early])
     arm, back = log.cell.robot.arm(), np.radians([0.0, 0.05, 0.0, 0.0, 0.0, 0.0])
     step_mm = (forward(arm, joints_rad + back) - forward(arm, joints_rad))[:, :3, 3]
     turn = (inverse(log.matrix("world")) @ log.matrix("base"))[:3, :3]

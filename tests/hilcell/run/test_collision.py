@@ -28,7 +28,7 @@ from hilcell.run.collision import (
 from hilcell.run.interlocks import Blocked
 from procedures.base_frame import sweep
 from procedures.plan import joints_for
-from procedures.repeatability import places_mm
+from procedures.repeatability import Repeatability
 from tests.hilcell.run.bed import CELL, Bed
 from tests.hilcell.run.rig import Points, procedure
 
@@ -153,7 +153,7 @@ def test_no_part_of_the_way_by_the_safe_pose_is_left_out(start: Array, end: Arra
 
 
 def test_poses_in_the_cube_and_on_the_circles_are_stated() -> None:
-    cube = joints_for(CELL, places_mm(CELL))
+    cube = joints_for(CELL, Repeatability.places_mm(CELL))
     assert not leaves_cube(CELL, cube).any()
     for axis in (1, 6):
         assert not leaves_cube(CELL, sweep(CELL, axis)).any()
@@ -165,7 +165,7 @@ def test_poses_in_the_cube_and_on_the_circles_are_stated() -> None:
 
 def test_a_cell_without_volumes_stays_where_it_was_stated() -> None:
     cell = bare(CELL)
-    cube = joints_for(cell, places_mm(cell))
+    cube = joints_for(cell, Repeatability.places_mm(cell))
     check_poses(cell, S1100, cube, "a place")
     assert clear_poses(cell, S1100, np.vstack([cube, OUT])).tolist() == [True] * 3 + [False]
     check_poses(CELL, S1100, OUT[None], "a free pose")

@@ -11,13 +11,13 @@ from hilcell.cell.file import Cell
 from hilcell.ports import Array, RobotReading
 from hilcell.run.cell_session import CellSession
 from procedures.plan import joints_for
-from procedures.repeatability import places_mm
+from procedures.repeatability import Repeatability
 from tests.hilcell.run.bed import CELL, PLAN, Bed, Live, until
 from tests.hilcell.run.rig import Points, procedure
 
 HOME = np.radians(CELL.robot.home_deg)
 OUT = HOME + np.radians([20.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-CUBE = joints_for(CELL, places_mm(CELL))[0]
+CUBE = joints_for(CELL, Repeatability.places_mm(CELL))[0]
 SLOW, USUAL = CELL.robot.first_pass_percent, CELL.robot.speed_percent
 
 
