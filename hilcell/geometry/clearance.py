@@ -19,7 +19,7 @@ from itertools import pairwise
 import numpy as np
 
 from hilcell.geometry.frames import inverse
-from hilcell.geometry.kinematics import Arm, Array, Bools, Ints, link_transforms
+from hilcell.geometry.kinematics import Arm, Array, Bools, Ints, link_transforms, rotation_y
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,18 +58,12 @@ def joint_lines(arm: Arm, link: int) -> Array:
     a_mm, d_mm, alpha_rad = arm.a_mm[row], arm.d_mm[row], arm.alpha_rad[row]
     foot = np.array([-a_mm, 0.0, 0.0])
     joint = foot - d_mm * np.array([0.0, np.sin(alpha_rad), np.cos(alpha_rad)])
-    corners = [corner @ _tilted(arm, row) for corner in (joint, foot, np.zeros(3))]
+    corners = [corner @ rotation_y(arm.beta_rad[row]) for corner in (joint, foot, np.zeros(3))]
     corners = corners[1:] if link == 1 else corners
     corners += [arm.tool[:3, 3]] if link == 6 else []
     pairs = list(pairwise(corners))
     long = [pair for pair in pairs if np.linalg.norm(pair[1] - pair[0]) > 0.0]
     return np.array(long or pairs[:1])
-
-
-def _tilted(arm: Arm, row: int) -> Array:
-    """Return Ry(beta) of Hayati's term (3, 3), which ends the link's transform."""
-    cos, sin = np.cos(arm.beta_rad[row]), np.sin(arm.beta_rad[row])
-    return np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
 
 
 def placed_mm(arm: Arm, capsules: Capsules, joints_rad: Array) -> Array:
@@ -94,7 +88,7 @@ def levers_mm(arm: Arm, capsules: Capsules) -> Array:
         # A point of the link's joint axis, and its direction, in the link's frame.
         row = link - 1
         axis = np.array([0.0, np.sin(arm.alpha_rad[row]), np.cos(arm.alpha_rad[row])])
-        turned = _tilted(arm, row)
+        turned = rotation_y(arm.beta_rad[row])  # Hayati's term ends the link's transform
         joint = (np.array([-arm.a_mm[row], 0.0, 0.0]) - arm.d_mm[row] * axis) @ turned
         arms = ends - joint
         levers[number, row] = np.linalg.norm(np.cross(arms, axis @ turned), axis=1).max()

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hilcell.geometry.frames import cross_matrix
-from hilcell.geometry.kinematics import Arm, Array, link_transforms
+from hilcell.geometry.kinematics import Arm, Array, link_transforms, rotation_y
 
 KINDS = ("a_mm", "alpha_rad", "d_mm", "offset_rad", "beta_rad")
 PARAMETERS = (
@@ -41,12 +41,7 @@ def link_errors(arm: Arm) -> Array:
     errors[:, 1, d], errors[:, 2, d] = sa, ca
     errors[:, 1, offset], errors[:, 2, offset] = arm.a_mm * ca, -arm.a_mm * sa
     errors[:, 4, offset], errors[:, 5, offset] = sa, ca
-    angle_rad = -arm.beta_rad
-    R = np.zeros((*angle_rad.shape, 3, 3))
-    R[..., 0, 0] = R[..., 2, 2] = np.cos(angle_rad)
-    R[..., 0, 2] = np.sin(angle_rad)
-    R[..., 2, 0] = -R[..., 0, 2]
-    R[..., 1, 1] = 1.0
+    R = rotation_y(-arm.beta_rad)
     errors[:, :3], errors[:, 3:] = R @ errors[:, :3], R @ errors[:, 3:]
     errors[:, 4, beta] = 1.0
     return errors

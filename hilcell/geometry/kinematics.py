@@ -46,6 +46,16 @@ class Arm:
         return fixed, cosine, sine
 
 
+def rotation_y(angle_rad: Array) -> Array:
+    """Return Ry (..., 3, 3), of Hayati's term for example."""
+    R = np.zeros((*np.shape(angle_rad), 3, 3))
+    R[..., 0, 0] = R[..., 2, 2] = np.cos(angle_rad)
+    R[..., 0, 2] = np.sin(angle_rad)
+    R[..., 2, 0] = -R[..., 0, 2]
+    R[..., 1, 1] = 1.0
+    return R
+
+
 def link_transforms(arm: Arm, joints_rad: Array) -> Array:
     """Return A_1..A_6 of eq 2, (..., 6, 4, 4), for ``joints_rad`` (..., 6)."""
     theta = (arm.sign * joints_rad + arm.offset_rad)[..., None, None]

@@ -63,6 +63,7 @@ class TransmissionCurve:
 
 BASE, LINKS = 6, 30
 ORDERS = (1, 2)
+GRAVITY_LINKS = ((1, "upper arm"), (1, "forearm"), (2, "forearm"))  # axis, and what loads it
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,23 +127,32 @@ class Kinematics:
         names += [f"reflector {k + 1} {axis} mm" for k in range(self.reflectors) for axis in "xyz"]
         for kind, unit in (each.rsplit("_", 1) for each in KINDS):
             names += [f"{kind}{row + 1} {unit}" for row in range(6)]
-        if self.gravity:
-            names += [f"{name} rad" for name in GRAVITY_NAMES]
-        if self.waves:
-            names += [
-                f"axis {axis + 1}: {wave} {order}q rad"
-                for axis in range(6)
-                for order in ORDERS
-                for wave in ("cos", "sin")
-            ]
-        if self.tool:
-            levers = ("flange", "x", "y", "z")
-            names += [f"axis {axis + 1}: tool {lever} rad" for axis in range(6) for lever in levers]
+        names += [f"axis {axis + 1}: {effect} rad" for axis, effect, _ in self._effects]
         for curve in self.curves:
             axis = f"axis {curve.axis + 1}"
             names += [f"{axis}: {w} {n:g}q rad" for n in curve.cycles for w in ("cos", "sin")]
             names.append(f"{axis}: shift rad")
         return names
+
+    @cached_property
+    def _effects(self) -> list[tuple[int, str, float]]:
+        """Return which joint each parameter between links and curves turns, as what, and the 1
+        sigma of its prior.
+        """
+        gravity_rad = 0.5e-3  # of the deflection at full load
+        wave_rad = 50e-6  # of the amplitudes of one and two waves a revolution
+        waves = [f"{wave} {order}q" for order in ORDERS for wave in ("cos", "sin")]
+        levers = [f"tool {lever}" for lever in ("flange", "x", "y", "z")]
+        gravity = [
+            (axis, f"{wave} {link}", gravity_rad)
+            for axis, link in GRAVITY_LINKS
+            for wave in ("cos", "sin")
+        ]
+        return [
+            *(gravity if self.gravity else []),
+            *((axis, wave, wave_rad) for axis in range(6) for wave in waves if self.waves),
+            *((axis, lever, gravity_rad) for axis in range(6) for lever in levers if self.tool),
+        ]
 
     @cached_property
     def prior_root(self) -> Array:
@@ -161,14 +171,10 @@ class Kinematics:
         length_mm, angle_rad = 1.0, 2e-3  # prior sigmas of link parameters
         links = [length_mm if kind.endswith("mm") else angle_rad for kind in KINDS]
         assumed = self.assumed
-        gravity_rad = 0.5e-3  # of the deflection at full load
-        wave_rad = 50e-6  # of the amplitudes of one and two waves a revolution
         sigmas = [
             *[assumed.base_mm] * 3, *[assumed.base_rad] * 3,
             *[assumed.reflector_mm] * (3 * self.reflectors),
-            *np.repeat(links, 6), *[gravity_rad] * (len(GRAVITY_AXES) if self.gravity else 0),
-            *[wave_rad] * (12 * len(ORDERS) if self.waves else 0),
-            *[gravity_rad] * (len(TOOL_AXES) if self.tool else 0),
+            *np.repeat(links, 6), *(sigma for _, _, sigma in self._effects),
         ]  # fmt: skip
         size = len(sigmas) + sum(2 * len(curve.cycles) + 1 for curve in self.curves)
         mean, covariance = np.zeros(size), np.zeros((size, size))
@@ -236,13 +242,7 @@ class Kinematics:
     @cached_property
     def _axes(self) -> list[int]:
         """Return which joint (V - 30,) each parameter behind the links turns."""
-        axes: list[int] = []
-        if self.gravity:
-            axes += GRAVITY_AXES
-        if self.waves:
-            axes += [axis for axis in range(6) for _ in range(2 * len(ORDERS))]
-        if self.tool:
-            axes += TOOL_AXES
+        axes = [axis for axis, _, _ in self._effects]
         for curve in self.curves:
             axes += [curve.axis] * (2 * len(curve.cycles) + 1)
         return axes
@@ -253,28 +253,19 @@ class Kinematics:
         """
         joints = np.asarray(joints_rad, dtype=float)
         blocks = [_steady(self, joints.tobytes())]
-        values = state.values[LINKS:]
+        values, linear = state.values[LINKS:], np.ones(len(self._axes))
         end = blocks[0].shape[1]
         for curve in self.curves:
             size = 2 * len(curve.cycles)
             amplitude, shift = values[end : end + size], values[end + size]
             shifted, at = replace(curve, shift_rad=float(shift)), joints[:, curve.axis]
             blocks += [shifted.basis(at), shifted.slope(at) @ amplitude[:, None]]
+            linear[end + size] = 0.0  # a shift is in the basis already
             end += size + 1
         basis = np.concatenate(blocks, axis=1)
         by_axis = np.eye(6)[self._axes]
-        true: Array = joints + (basis * (values * self._linear(values))) @ by_axis
+        true: Array = joints + (basis * (values * linear)) @ by_axis
         return true, basis
-
-    def _linear(self, values: Array) -> Array:
-        """Return 1 for the values that multiply their basis, 0 for shifts, which are in it."""
-        linear = np.ones(len(values))
-        end = len(values) - sum(2 * len(curve.cycles) + 1 for curve in self.curves)
-        for curve in self.curves:
-            end += 2 * len(curve.cycles)
-            linear[end] = 0.0
-            end += 1
-        return linear
 
     @staticmethod
     def _carried(flange: Array, smr_mm: Array) -> Array:
@@ -300,17 +291,8 @@ def _steady(kinematics: Kinematics, joints: bytes) -> Array:
     return np.concatenate(blocks, axis=1)
 
 
-GRAVITY_AXES = (1, 1, 1, 1, 2, 2)
-GRAVITY_NAMES = tuple(
-    f"{axis}: {wave} {link}"
-    for axis, link in (("axis 2", "upper arm"), ("axis 2", "forearm"), ("axis 3", "forearm"))
-    for wave in ("cos", "sin")
-)
-TOOL_AXES = tuple(axis for axis in range(6) for _ in range(4))
-
-
 def gravity_basis(arm: Arm, joints_rad: Array) -> Array:
-    """Return the loads (..., 6), -1 .. 1, that deflect `GRAVITY_AXES`, as `GRAVITY_NAMES` says."""
+    """Return the loads (..., 6), -1 .. 1: cosine and sine of each pair of `GRAVITY_LINKS`."""
     links = link_transforms(arm, joints_rad)
     shoulder = links[..., 0, :, :]
     elbow = shoulder @ links[..., 1, :, :]

@@ -38,8 +38,6 @@ def swept_axis(up: SweepStream, down: SweepStream, arm: Arm, axis: int) -> Curve
         except BadStream as error:
             return without_curve(axis, f"{name}: {error}")
     rising, falling = motions
-    if not (rising.speed_rad_s > 0 > falling.speed_rad_s):
-        return without_curve(axis, "both sweeps turned the same way, expected one up and one down")
     try:
         records, speed_rad_s = sweep_records(rising, falling), _speed(rising, falling)
     except BadStream as error:
@@ -60,6 +58,8 @@ def swept_axis(up: SweepStream, down: SweepStream, arm: Arm, axis: int) -> Curve
 
 def sweep_records(rising: Motion, falling: Motion) -> Records:
     """Records of both sweeps, limited to the common range; raises `BadStream`."""
+    if not (rising.speed_rad_s > 0 > falling.speed_rad_s):
+        raise BadStream("both sweeps turned the same way, expected one up and one down")
     both = (rising, falling)
     low = max(float(motion.joint_rad.min()) for motion in both)
     high = min(float(motion.joint_rad.max()) for motion in both)

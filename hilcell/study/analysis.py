@@ -34,6 +34,7 @@ from hilcell.study.study_file import Optimum, Study
 UPPER = 0.975  # end of a 95 % interval
 SAME = 1e-9  # of numbers that rounding alone sets apart
 TOO_LONG = 1e6  # of a design with too many minutes, which are added
+NONE = "–"  # stands for a figure that is not estimable
 Rows = Sequence[Row]
 
 
@@ -56,6 +57,13 @@ class Interval(msgspec.Struct, frozen=True):
     def known(self) -> bool:
         """Whether it is shown to be other than nought, by more than rounding."""
         return self.half >= 0.0 and abs(self.mean) > max(self.half, SAME)
+
+    def text(self, sign: float = 1.0) -> str:
+        """Return the figure with its interval, where it has one; a dash for none."""
+        if math.isnan(self.mean):
+            return NONE
+        shown = f"{sign * self.mean:z.4f}".replace("-", "−")  # z: no -0
+        return shown if math.isnan(self.half) else f"{shown} ± {self.half:.4f}"
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -88,6 +96,13 @@ class Share(msgspec.Struct, frozen=True):
         low = float(betaincinv(within, beyond + 1.0, 1.0 - UPPER)) if within > 0.0 else 0.0
         high = float(betaincinv(within + 1.0, beyond, UPPER)) if beyond > 0.0 else 1.0
         return cls(mean, low, high)
+
+    def text(self) -> str:
+        """Return the share in %, with its interval; a dash for none."""
+        if math.isnan(self.mean):
+            return NONE
+        low, high = (f"{100.0 * end:.1f}" for end in self.ends)
+        return f"{100.0 * self.mean:.1f}" + (f" ({low} .. {high})" if low != high else "")
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -212,6 +227,18 @@ class Design:
     cases: int
     on_front: bool
 
+    def facts(self) -> dict[str, object]:
+        """Return it as plain values."""
+        return {
+            "point": self.point.number,
+            "factors": {choice.factor.name: choice.shown for choice in self.point.choices},
+            "accuracy_mm": self.accuracy,
+            "minutes": self.minutes,
+            "cost": self.point.cost,
+            "covered": self.covered,
+            "machines": self.machines,
+        }
+
 
 @dataclass(frozen=True, slots=True)
 class Effect:
@@ -233,6 +260,26 @@ class Effect:
     @property
     def gains(self) -> bool:
         return self.change.known and self.change.mean < 0.0
+
+    @property
+    def shown(self) -> str:
+        """Return what is shown of the change: that it is a gain, a loss, or neither."""
+        if not self.change.known:
+            return "no"
+        return "gain" if self.gains else "loss"
+
+    def facts(self) -> dict[str, object]:
+        """Return it as plain values."""
+        return {
+            "factor": self.factor.name,
+            "level": self.word,
+            "from": self.start,
+            "accuracy_mm": self.mean,
+            "change_mm": self.change,
+            "minutes": self.minutes,
+            "cost": self.cost,
+            "covered": self.covered,
+        }
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from hilcell.sanitize import harmless
 from hilcell.study.analysis import Answers, Effect
 from hilcell.study.case import RESULTS
 from hilcell.study.study_file import Study
-from hilcell.study.tables import Summary, percent, with_half
+from hilcell.study.tables import Summary
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,9 +37,9 @@ def page(summary: Summary) -> str:
         if effects:
             means_mm = np.array([[each.mean.mean, *each.mean.ends] for each in effects])
             shares = np.array([[each.covered.mean, *each.covered.ends] for each in effects])
-            words = [with_half(each.mean) for each in effects]
+            words = [each.mean.text() for each in effects]
             plots["effects_plot"] = _levels("effects", effects, means_mm, words, _error(study))
-            words = [percent(each.covered) for each in effects]
+            words = [each.covered.text() for each in effects]
             name = "targets within their 95 % bound, %"
             plots["coverage_plot"] = _levels("covered", effects, 100.0 * shares, words, name, 95.0)
     return (

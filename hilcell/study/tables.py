@@ -9,12 +9,10 @@ from functools import partial
 from operator import attrgetter, itemgetter
 
 from hilcell.present.table import Column, Table
-from hilcell.study.analysis import Design, Effect, Interval, Rows, Share, answers, whole
+from hilcell.study.analysis import NONE, Design, Effect, Rows, answers, whole
 from hilcell.study.case import CANNOT_BE, DONE, FAILED, RESULTS
 from hilcell.study.design import Case
 from hilcell.study.study_file import Optimum, Study
-
-NONE = "–"  # stands for a figure that is not estimable
 
 
 def point_columns(study: Study) -> list[Column[Design | Case]]:
@@ -52,7 +50,7 @@ class Summary:
         return [
             *point_columns(self.study),
             Column("minutes", attrgetter("minutes"), form=".0f"),
-            Column(self.study.accuracy[:-3], lambda row: with_half(row.accuracy), "mm", "s"),
+            Column(self.study.accuracy[:-3], lambda row: row.accuracy.text(), "mm", "s"),
         ]
 
     def _best(self) -> Table:
@@ -80,7 +78,7 @@ class Summary:
         columns = self._design_columns()
         if study.has_costs:
             columns.insert(-1, Column(study.money, lambda row: row.point.cost, form="g"))
-        columns.append(Column("covered", lambda row: percent(row.covered), "%", "s"))
+        columns.append(Column("covered", lambda row: row.covered.text(), "%", "s"))
         if any(each.cases < of_all for each in found.front):
             columns.append(Column("done", lambda row: f"{row.cases} of {of_all}", form="s"))
         against = "accuracy, minutes and money" if study.has_costs else "accuracy and minutes"
@@ -97,8 +95,8 @@ class Summary:
             Column("factor", attrgetter("factor.title")),
             Column("from", attrgetter("start")),
             Column("to", attrgetter("word")),
-            Column("gain", lambda row: with_half(row.change, -1.0), "mm", "s"),
-            Column("shown", _shown, form="s"),
+            Column("gain", lambda row: row.change.text(-1.0), "mm", "s"),
+            Column("shown", attrgetter("shown"), form="s"),
             Column("more minutes", lambda row: _signed(row.minutes), form="s"),
         ]
         if self.study.has_costs:
@@ -118,19 +116,19 @@ class Summary:
         columns: list[Column[Effect]] = [
             Column("factor", attrgetter("factor.title")),
             Column("level", attrgetter("word")),
-            Column(self.study.accuracy[:-3], lambda row: with_half(row.mean), "mm", "s"),
+            Column(self.study.accuracy[:-3], lambda row: row.mean.text(), "mm", "s"),
             Column(
                 "change",
-                lambda row: with_half(row.change) if row.word != row.start else None,
+                lambda row: row.change.text() if row.word != row.start else None,
                 "mm",
                 "s",
             ),
             Column("minutes", lambda row: _signed(row.minutes), form="s"),
-            Column("covered", lambda row: percent(row.covered), "%", "s"),
+            Column("covered", lambda row: row.covered.text(), "%", "s"),
         ]
         note = "\n".join([*found.not_estimable, self._explained()])
         if found.covered is not None:
-            within = f"{percent(found.covered)} % of targets lie within their 95 % bound."
+            within = f"{found.covered.text()} % of targets lie within their 95 % bound."
             note += f"Over all designs {within}"
         return Table(columns, found.effects, "Main effects", note)
 
@@ -198,11 +196,11 @@ class Summary:
             "accuracy": study.accuracy,
             "cases": study.most_cases,
             "counts": dict(found.counts),
-            "best": None if found.best is None else _design(found.best),
-            "front": [_design(each) for each in found.front],
-            "designs": [_design(each) for each in found.designs],
-            "effects": [_effect(each) for each in found.effects],
-            "buy_next": [_effect(each) for each in found.purchases],
+            "best": None if found.best is None else found.best.facts(),
+            "front": [each.facts() for each in found.front],
+            "designs": [each.facts() for each in found.designs],
+            "effects": [each.facts() for each in found.effects],
+            "buy_next": [each.facts() for each in found.purchases],
             "covered": found.covered,
             "explained": found.share,
             "not_estimable": found.not_estimable,
@@ -221,56 +219,9 @@ def _kind(reason: str) -> str:
     return re.sub(r"\d+", "0", reason).replace("-0", "0").replace("+0", "0")
 
 
-def with_half(each: Interval, sign: float = 1.0) -> str:
-    """Return a figure with its interval, where it has one; a dash for none."""
-    if math.isnan(each.mean):
-        return NONE
-    shown = f"{sign * each.mean:z.4f}".replace("-", "−")  # z: no -0
-    return shown if math.isnan(each.half) else f"{shown} ± {each.half:.4f}"
-
-
-def percent(each: Share) -> str:
-    """Return a share in %, with its interval; a dash for none."""
-    if math.isnan(each.mean):
-        return NONE
-    low, high = (f"{100.0 * end:.1f}" for end in each.ends)
-    return f"{100.0 * each.mean:.1f}" + (f" ({low} .. {high})" if low != high else "")
-
-
 def _signed(value: float) -> str:
     """Return a difference; a dash where it is not known."""
     if math.isnan(value):
         return NONE
     shown = f"{value:+.0f}"
     return "0" if float(shown) == 0.0 else shown.replace("-", "−")
-
-
-def _shown(each: Effect) -> str:
-    if not each.change.known:
-        return "no"
-    return "gain" if each.gains else "loss"
-
-
-def _design(each: Design) -> dict[str, object]:
-    return {
-        "point": each.point.number,
-        "factors": {choice.factor.name: choice.shown for choice in each.point.choices},
-        "accuracy_mm": each.accuracy,
-        "minutes": each.minutes,
-        "cost": each.point.cost,
-        "covered": each.covered,
-        "machines": each.machines,
-    }
-
-
-def _effect(each: Effect) -> dict[str, object]:
-    return {
-        "factor": each.factor.name,
-        "level": each.word,
-        "from": each.start,
-        "accuracy_mm": each.mean,
-        "change_mm": each.change,
-        "minutes": each.minutes,
-        "cost": each.cost,
-        "covered": each.covered,
-    }

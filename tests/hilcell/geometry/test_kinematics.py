@@ -12,9 +12,9 @@ from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import inverse, pose_from_zyx
 from hilcell.geometry.inverse import joint_jacobian
 from hilcell.geometry.jacobian import (
-    KINDS,
     PARAMETERS,
     link_errors,
+    moved,
     parameter_jacobian,
     tool_and_jacobian,
 )
@@ -66,21 +66,11 @@ RELATIVE = 1e-7
 seeds = st.integers(0, 2**32 - 1)
 
 
-def changed(arm: Arm, parameter: int, step: float) -> Arm:
-    """Return the arm with one parameter, by its column, made larger by ``step``."""
-    if parameter >= 30:
-        tool = arm.tool.copy()
-        tool[parameter - 30, 3] += step
-        return replace(arm, tool=tool)
-    kind, row = KINDS[parameter // 6], parameter % 6
-    return replace(arm, **{kind: getattr(arm, kind) + step * np.eye(6)[row]})
-
-
 def differences(arm: Arm, joints: np.ndarray, parameter: int) -> np.ndarray:
     """Return the column (N, 6) in {B} by central differences."""
     step = 1e-5 if "rad" in PARAMETERS[parameter] else 1e-2
-    low = forward(changed(arm, parameter, -step), joints)
-    high = forward(changed(arm, parameter, step), joints)
+    low = forward(moved(arm, parameter, -step), joints)
+    high = forward(moved(arm, parameter, step), joints)
     turn = high[:, :3, :3] @ np.swapaxes(low[:, :3, :3], -1, -2)
     vector = Rotation.from_matrix(turn).as_rotvec()
     return np.hstack([high[:, :3, 3] - low[:, :3, 3], vector]) / (2 * step)
@@ -121,8 +111,8 @@ def test_link_errors_are_those_of_eqs_3_and_4(seed: int) -> None:
     for parameter in range(30):
         row, kind, step = parameter % 6, parameter // 6, 1e-5
         dA = (
-            link_transforms(changed(arm, parameter, step), joints)[row]
-            - link_transforms(changed(arm, parameter, -step), joints)[row]
+            link_transforms(moved(arm, parameter, step), joints)[row]
+            - link_transforms(moved(arm, parameter, -step), joints)[row]
         ) / (2 * step)
         delta = back[row] @ dA
         found = [*delta[:3, 3], delta[2, 1], delta[0, 2], delta[1, 0]]
@@ -138,7 +128,7 @@ def test_first_order_is_all_but_the_square(seed: int) -> None:
     for share in (1.0, 0.1):
         arm = PAPER
         for parameter in range(33):
-            arm = changed(arm, parameter, share * errors[parameter])
+            arm = moved(arm, parameter, share * errors[parameter])
         shift = forward(arm, joints)[:, :3, 3] - forward(PAPER, joints)[:, :3, 3]
         predicted = parameter_jacobian(PAPER, joints)[:, :3] @ (share * errors)
         missed.append(np.linalg.norm(shift - predicted, axis=1).max())

@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 
 from hilcell.geometry.frames import apply
 from hilcell.geometry.kinematics import forward
-from hilcell.identification.kinematics import GRAVITY_AXES, LINKS, Kinematics, gravity_basis
+from hilcell.identification.kinematics import GRAVITY_LINKS, LINKS, Kinematics, gravity_basis
 from tests.hilcell.identification.robots import ARM, SMR_MM, T_L_B, Robot, curve
 
 seeds = st.integers(0, 2**32 - 1)
+GRAVITY_AXES = [axis for axis, _ in GRAVITY_LINKS for _ in range(2)]
 CURVES = (curve(0, (31.0, 170.0), 1), curve(2, (62.5,), 2))
 
 
@@ -78,7 +79,7 @@ def test_gravity_bends_the_joints_by_its_loads() -> None:
     state = replace(bent.start(T_L_B, SMR_MM), values=np.zeros(LINKS + len(GRAVITY_AXES)))
     state.values[LINKS:] = 1e-4 * np.arange(1.0, 7.0)
     joints = Robot(bent, state).joints_rad(1, 5)
-    by_axis = np.eye(6)[list(GRAVITY_AXES)]
+    by_axis = np.eye(6)[GRAVITY_AXES]
     wanted = (gravity_basis(ARM, joints) * state.values[LINKS:]) @ by_axis
     for _ in range(2):
         np.testing.assert_allclose(bent.joints_of(state, joints) - joints, wanted, atol=1e-15)

@@ -245,17 +245,7 @@ def test_it_is_the_sum_of_its_waves_at_the_shifted_angle() -> None:
     assert CURVE.basis(q.reshape(7, 1)).shape == (7, 1, 4)
 
 
-RECORDED = TransmissionCurve(
-    axis=1,
-    cycles=np.array([40.0, 203.5]),
-    amplitude_rad=np.array([[30e-6, -10e-6], [0.0, 20e-6]]),
-    covariance_rad2=1e-12 * np.eye(4),
-    shift_rad=0.0,
-    shift_sigma_rad=50e-6,
-    low_rad=-1.0,
-    high_rad=0.2,
-    noise_rad=5e-6,
-)
+RECORDED = replace(CURVE, shift_rad=0.0)
 FOUND = msgspec.structs.replace(
     without_curve(1, "", 0.0123),
     cycles=RECORDED.cycles.tolist(),

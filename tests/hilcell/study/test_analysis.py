@@ -21,7 +21,7 @@ from hilcell.study.design import Case, Point, cases, choices_at, points
 from hilcell.study.html import page
 from hilcell.study.results import case_row
 from hilcell.study.study_file import Study
-from hilcell.study.tables import Summary, percent, with_half
+from hilcell.study.tables import Summary
 from tests.hilcell.study.studies import TWO_FACTORS, study
 from tests.hilcell.study.test_design import RANGES, SOBOL
 from tests.hilcell.study.test_study_file import factor
@@ -115,8 +115,8 @@ def test_the_page_draws_the_front_and_each_level(tmp_path: Path) -> None:
     words = {plot: re.findall(r"<text[^>]*>([^<]*)</text>", plot) for plot in (front, effects)}
     assert {str(each.point.number) for each in summary.found.front} <= {*words[front]}
     for each in summary.found.effects:
-        assert {each.factor.title, each.word, with_half(each.mean)} <= {*words[effects]}
-        assert percent(each.covered) in covered
+        assert {each.factor.title, each.word, each.mean.text()} <= {*words[effects]}
+        assert each.covered.text() in covered
 
 
 @pytest.mark.filterwarnings("error")
