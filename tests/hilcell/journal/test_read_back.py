@@ -141,9 +141,8 @@ def test_reading_back_finds_nothing_in_a_sound_journal(
 
 @pytest.mark.parametrize("how", [truncate, replace])
 def test_a_run_whose_journal_is_cut_short_ends_safely_with_exit_7(
-    tmp_path: Path, how: Callable[[Path], None]
+    bed: Bed, how: Callable[[Path], None]
 ) -> None:
-    bed = Bed(tmp_path)
 
     def strike(session: CellSession, number: int) -> None:
         if number == 2:
@@ -158,8 +157,7 @@ def test_a_run_whose_journal_is_cut_short_ends_safely_with_exit_7(
     bed.journal.close()
 
 
-def test_a_run_whose_journal_was_changed_does_not_end_well(tmp_path: Path) -> None:
-    bed = Bed(tmp_path)
+def test_a_run_whose_journal_was_changed_does_not_end_well(bed: Bed) -> None:
 
     def strike(session: CellSession, number: int) -> None:
         if number == 29:

@@ -1,7 +1,5 @@
 """Events are typed as they are read, and those of plug-ins stay as they are."""
 
-from pathlib import Path
-
 import msgspec
 import pytest
 
@@ -62,14 +60,13 @@ def test_an_event_is_said_in_words(event: msgspec.Struct, text: str) -> None:
     assert read.text == text
 
 
-def test_a_plug_in_cannot_write_a_declared_event_that_no_reader_could_read(tmp_path: Path) -> None:
+def test_a_plug_in_cannot_write_a_declared_event_that_no_reader_could_read(bed: Bed) -> None:
     """The journal would hold it for ever, and the run could be neither shown nor resumed."""
     assert "step" in EVENTS
 
     def act(session: CellSession, number: int) -> None:
         session.event("step", wrong=number)
 
-    bed = Bed(tmp_path)
     assert bed.run(procedure(Points(1, act))) == 5
     assert "expected an event of another kind than 'step'" in bed.log().fault
     assert bed.run(procedure(Points(1))) == 0

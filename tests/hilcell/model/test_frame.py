@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import msgspec
 import numpy as np
 import pytest
@@ -100,12 +98,11 @@ def test_a_log_gives_a_frame_of_the_type_that_was_asked_for() -> None:
     ],
 )
 def test_a_run_keeps_a_frame_of_the_type_of_its_key_alone(
-    tmp_path: Path, key: str, frame: Frame, refused: bool
+    bed: Bed, key: str, frame: Frame, refused: bool
 ) -> None:
     def act(session: CellSession, number: int) -> None:
         session.frame(key, frame)
 
-    bed = Bed(tmp_path)
     bed.run(procedure(Points(1, act)))
     said = f"{key!r} is no key of {type(frame).__name__}"
     assert (said in bed.log().fault) is refused

@@ -216,34 +216,20 @@ def test_what_decided_is_said_alone() -> None:
 # -- a run -----------------------------------------------------------------------------------------
 
 
-def fault_of(tmp_path: Path, verdict: Verdict, key: str) -> str:
-    def act(session: CellSession, number: int) -> None:
-        session.judge(key, verdict)
-
-    bed = Bed(tmp_path)
-    bed.run(procedure(Points(1, act)))
-    return bed.log().fault
-
-
 @pytest.mark.parametrize(
     ("key", "verdict"),
     [("recheck", SIGN), ("sign", REDO), ("validation", JUDGED), ("own", SIGN),
      ("sign", OtherVerdict(holds=True, facts={}))],
 )  # fmt: skip
-def test_a_run_judges_by_the_type_of_the_key_alone(
-    tmp_path: Path, key: str, verdict: Verdict
-) -> None:
-    fault = fault_of(tmp_path, verdict, key)
-    assert f"{key!r} is no key of {type(verdict).__name__}" in fault
+def test_a_run_judges_by_the_type_of_the_key_alone(bed: Bed, key: str, verdict: Verdict) -> None:
+    bed.run(procedure(Points(1, lambda session, number: session.judge(key, verdict))))
+    assert f"{key!r} is no key of {type(verdict).__name__}" in bed.log().fault
 
 
-def test_a_plug_in_cannot_write_a_declared_verdict_that_no_reader_could_read(
-    tmp_path: Path,
-) -> None:
+def test_a_plug_in_cannot_write_a_declared_verdict_that_no_reader_could_read(bed: Bed) -> None:
     def act(session: CellSession, number: int) -> None:
         session.verdict("fit", holds=True)
 
-    bed = Bed(tmp_path)
     assert bed.run(procedure(Points(1, act))) == 5
     assert "expected a verdict of another key than 'fit'" in bed.log().fault
 

@@ -16,11 +16,20 @@ from hilcell.journal.journal import Record, read_journal
 from hilcell.journal.log import Log, RunJournal
 from hilcell.journal.runs import EngineFile
 from hilcell.ports import NoReading
+from hilcell.run.cell_session import CellSession
 from hilcell.run.order import Attendance
 from hilcell.run.procedure import Procedure
 from hilcell.run.run_plan import NONE, Changes, RunPlan
 from hilcell.run.runner import Runner
-from tests.hilcell.run.rig import DeskClock, DeskRail, DeskRobot, DeskTracker, desk
+from tests.hilcell.run.rig import (
+    DeskClock,
+    DeskRail,
+    DeskRobot,
+    DeskTracker,
+    Points,
+    desk,
+    procedure,
+)
 
 QUICK = {"settle.robot_s": "0.0", "settle.rail_s": "0.0", "plan.unattended_wait_s": "0"}
 CELL = load_cell("paper", QUICK)
@@ -88,6 +97,13 @@ class Bed:
         code = self.runner(what, changes).run()
         self.journal.close()
         return code
+
+    def fault_of(self, act: Callable[[CellSession, int], None]) -> str:
+        """Return the code of the fault that ends a run of ``act``; "" where none does."""
+        self.run(procedure(Points(1, act)))
+        end = self.log().end
+        assert end is not None
+        return str(end.error.get("code", ""))
 
     def log(self) -> Log:
         return Log(read_journal(self.path))
@@ -160,6 +176,12 @@ def until(condition: Callable[[], bool]) -> None:
     looks = threading.Event()
     while not condition():
         looks.wait(0.001)  # lets the other thread work
+
+
+def waiting(limit_s: float) -> Cell:
+    """The cell, where an unattended run waits so long."""
+    plan = msgspec.structs.replace(CELL.plan, unattended_wait_s=limit_s)
+    return msgspec.structs.replace(CELL, plan=plan)
 
 
 def broken_beam(times: int) -> Callable[[], None]:

@@ -93,7 +93,8 @@ class DeskRobot:
         self.clock = clock
         self.arm = cell.robot.arm()  # as the controller takes it to be
         self.joints_rad = np.radians(cell.robot.safe_deg)
-        self.moves = 0
+        self.targets: list[Array] = []  # of its motions, rad
+        self.speeds: list[float] = []  # of its motions, percent
         self.ended_s: float | None = None
         self.stopped = 0
 
@@ -102,13 +103,18 @@ class DeskRobot:
 
     def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
         self.joints_rad = np.array(joints_rad)
-        self.moves += 1
+        self.targets.append(self.joints_rad)
+        self.speeds.append(speed_percent)
         self.ended_s = self.clock.pc_s()
         return self.read()
 
     def read(self) -> RobotReading:
         pose = forward(self.arm, self.joints_rad)
         return RobotReading(self.joints_rad, pose, True, self.clock.pc_s(), self.ended_s)
+
+    @property
+    def moves(self) -> int:
+        return len(self.targets)
 
     def stop(self) -> None:
         self.stopped += 1

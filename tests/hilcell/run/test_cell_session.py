@@ -1,6 +1,5 @@
 """What a session believes of a measurement, and from which side every axis comes."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,16 +12,10 @@ from hilcell.ports import Array, DeviceError, RailReading, RobotReading, Tracker
 from hilcell.run.cell_session import CellSession
 from hilcell.run.mover import StraightApproach
 from tests.hilcell.run.bed import CELL, Bed, broken_beam
-from tests.hilcell.run.rig import Points, procedure
 from tests.hilcell.verdicts import base_at
 
 HOME_RAD = np.radians(CELL.robot.home_deg)
 S300, S1100 = CELL.station_named("S300"), CELL.station_named("S1100")
-
-
-@pytest.fixture
-def bed(tmp_path: Path) -> Bed:
-    return Bed(tmp_path)
 
 
 def flange(session: CellSession, number: int) -> None:
@@ -32,14 +25,6 @@ def flange(session: CellSession, number: int) -> None:
 
 def nothing(session: CellSession, number: int) -> None:
     """Leave the robot where it is: the floor nest alone is measured."""
-
-
-def fault_of(bed: Bed, act: Callable[[CellSession, int], None]) -> str:
-    """Return the code of the fault that ends a run of ``act``; "" where none does."""
-    bed.run(procedure(Points(1, act)))
-    end = bed.log().end
-    assert end is not None
-    return str(end.error.get("code", ""))
 
 
 @pytest.mark.parametrize("late_s", [10.0, np.nan])
@@ -53,13 +38,13 @@ def test_an_answer_to_an_earlier_request_is_refused(
         return replace(reading, taken_s=reading.taken_s - late_s)
 
     monkeypatch.setattr(bed.tracker, "measure", replayed)
-    assert fault_of(bed, nothing) == "HC-T31"
+    assert bed.fault_of(nothing) == "HC-T31"
 
 
 @pytest.mark.parametrize(("off_mm", "code"), [(0.5, ""), (15.0, "HC-T17"), (np.nan, "HC-T17")])
 def test_a_reflector_far_from_its_place_is_refused(bed: Bed, off_mm: float, code: str) -> None:
     bed.tracker.off_mm = np.array([0.0, off_mm, 0.0])
-    assert fault_of(bed, flange) == code
+    assert bed.fault_of(flange) == code
 
 
 def test_a_point_is_not_kept_where_the_slide_crept_meanwhile(bed: Bed) -> None:
@@ -67,7 +52,7 @@ def test_a_point_is_not_kept_where_the_slide_crept_meanwhile(bed: Bed) -> None:
         bed.rail.position_mm += 0.05
 
     bed.tracker.answer = creep
-    assert fault_of(bed, flange) == "HC-S05"
+    assert bed.fault_of(flange) == "HC-S05"
     assert not bed.log().points
 
 
@@ -76,13 +61,13 @@ def test_a_point_is_measured_once_in_a_run_s_life(bed: Bed) -> None:
         flange(session, 0)
         flange(session, 0)
 
-    assert fault_of(bed, twice) == ""
+    assert bed.fault_of(twice) == ""
     assert bed.tracker.measured == 2  # the flange, and the floor nest of `Points`
     assert list(bed.log().points) == ["flange/0", "p/0"]
 
 
 def test_a_point_keeps_when_its_readings_were_taken(bed: Bed) -> None:
-    assert fault_of(bed, flange) == ""
+    assert bed.fault_of(flange) == ""
     for key, at_rest in (("flange/0", True), ("p/0", False)):
         times = bed.log().points[key].readings
         assert times is not None
@@ -97,7 +82,7 @@ def test_a_point_keeps_when_its_readings_were_taken(bed: Bed) -> None:
 
 def test_a_point_may_have_no_air(bed: Bed) -> None:
     bed.tracker.air = None
-    assert fault_of(bed, flange) == ""
+    assert bed.fault_of(flange) == ""
     point = bed.log().points["flange/0"]
     assert (point.air, point.temperature_c, bed.log().temperatures_c()) == (None, None, [])
     assert bed.records("point")[0].body["pressure_mbar"] is None
@@ -105,56 +90,38 @@ def test_a_point_may_have_no_air(bed: Bed) -> None:
 
 @pytest.mark.parametrize(("side", "sign"), [(0, 1.0), (1, -1.0)])
 def test_every_axis_comes_from_below_or_where_asked_from_above(
-    bed: Bed, monkeypatch: pytest.MonkeyPatch, side: int, sign: float
+    bed: Bed, side: int, sign: float
 ) -> None:
-    targets: list[Array] = []
-    move = bed.robot.move_to
-
-    def moved(joints_rad: Array, speed_percent: float) -> RobotReading:
-        targets.append(np.array(joints_rad))
-        return move(joints_rad, speed_percent)
-
-    monkeypatch.setattr(bed.robot, "move_to", moved)
-
     def sided(session: CellSession, number: int) -> None:
         session.frame("base", base_at(session.cell.layout.nominal_base(S1100.rail_mm)))
         session.flange_point(PointId("flange", target="1", side=side), S1100, HOME_RAD)
 
-    assert fault_of(bed, sided) == ""
-    before_rad, there_rad = targets
+    assert bed.fault_of(sided) == ""
+    before_rad, there_rad = bed.robot.targets
     assert np.array_equal(there_rad, HOME_RAD)
     assert there_rad - before_rad == pytest.approx(sign * np.radians(CELL.robot.approach_deg))
 
 
 @pytest.mark.parametrize("there", [True, False])
 def test_a_pose_of_a_cycle_is_approached_directly_from_the_one_before_it(
-    bed: Bed, monkeypatch: pytest.MonkeyPatch, there: bool
+    bed: Bed, there: bool
 ) -> None:
     """A robot that stands elsewhere, as after a stop, goes to the pose before it first."""
-    moves: list[tuple[list[float], float]] = []
-    move = bed.robot.move_to
     before_rad = HOME_RAD + np.radians([3.0, 2.0, -2.0, 0.0, 1.0, 0.0])
-
-    def moved(joints_rad: Array, speed_percent: float) -> RobotReading:
-        moves.append((np.degrees(joints_rad).round(6).tolist(), speed_percent))
-        return move(joints_rad, speed_percent)
-
-    monkeypatch.setattr(bed.robot, "move_to", moved)
 
     def straight(session: CellSession, number: int) -> None:
         session.frame("base", base_at(session.cell.layout.nominal_base(S1100.rail_mm)))
         session.hold_station(S1100)
         if there:
             session.robot_to(before_rad, "before")
-        moves.clear()
+        bed.robot.targets.clear()
         how = StraightApproach(before_rad, 80.0)
         session.flange_point(PointId("flange", target="1"), S1100, HOME_RAD, straight=how)
 
-    assert fault_of(bed, straight) == ""
-    here, home = np.degrees(before_rad), np.degrees(HOME_RAD)
-    below = here - CELL.robot.approach_deg
-    wanted = [home] if there else [below, here, home]
-    assert [joints for joints, _ in moves] == [each.round(6).tolist() for each in wanted]
+    assert bed.fault_of(straight) == ""
+    below_rad = before_rad - np.radians(CELL.robot.approach_deg)
+    wanted = [HOME_RAD] if there else [below_rad, before_rad, HOME_RAD]
+    np.testing.assert_allclose(bed.robot.targets, wanted, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -174,7 +141,7 @@ def test_a_reference_is_proven_by_drive_and_strip(
         proven.append(session.rail_referenced())
         monkeypatch.setattr(bed.rail, "read", read)
 
-    assert fault_of(bed, look) == ""
+    assert bed.fault_of(look) == ""
     assert proven == [agrees]
 
 
@@ -184,7 +151,7 @@ def test_a_robot_that_is_not_parked_is_parked(bed: Bed, off_deg: float, moves: i
         bed.robot.joints_rad = np.radians(np.add(CELL.robot.safe_deg, [0, 0, off_deg, 0, 0, 0]))
         session.park_robot()
 
-    assert fault_of(bed, park) == ""
+    assert bed.fault_of(park) == ""
     assert bed.robot.moves == moves
     np.testing.assert_allclose(np.degrees(bed.robot.joints_rad), CELL.robot.safe_deg)
 
@@ -199,7 +166,7 @@ def test_a_pause_that_was_asked_for_comes_before_the_robot_parks(
         monkeypatch.setattr(session, "checkpoint", lambda: moves_before.append(bed.robot.moves))
         session.park_robot()
 
-    assert fault_of(bed, park) == ""
+    assert bed.fault_of(park) == ""
     assert moves_before[:1] == [0]
     assert bed.robot.moves == 1
 
@@ -210,7 +177,7 @@ def test_the_rail_stays_where_the_robot_does_not_park(
     """The interlock judges the robot's reading, not that it was told to park."""
     bed.robot.joints_rad = HOME_RAD
     monkeypatch.setattr(bed.robot, "move_to", lambda *_: bed.robot.read())
-    assert fault_of(bed, lambda session, number: session.rail_to(500.0)) == "HC-B32"
+    assert bed.fault_of(lambda session, number: session.rail_to(500.0)) == "HC-B32"
     assert bed.rail.position_mm == 1100.0
     assert not bed.rail.powered
 
@@ -221,7 +188,7 @@ def test_joints_beyond_a_limit_are_never_commanded(bed: Bed) -> None:
     def go(session: CellSession, number: int) -> None:
         session.robot_to(far_rad, "a point")
 
-    assert fault_of(bed, go) == "HC-B33"
+    assert bed.fault_of(go) == "HC-B33"
     assert bed.robot.moves == 0
 
 
@@ -235,7 +202,7 @@ def test_a_slide_that_slips_when_its_brake_closes_is_not_held(
         hold()
 
     monkeypatch.setattr(bed.rail, "hold", slip)
-    assert fault_of(bed, lambda session, number: session.hold_station(S1100)) == "HC-S05"
+    assert bed.fault_of(lambda session, number: session.hold_station(S1100)) == "HC-S05"
     assert not bed.events("station held")
 
 
@@ -258,7 +225,7 @@ def test_what_has_moved_settles_before_it_is_measured(
 
     monkeypatch.setattr(bed.robot, "move_to", moved)
     bed.tracker.answer = lambda: done.append("measure")
-    assert fault_of(bed, act) == ""
+    assert bed.fault_of(act) == ""
     assert done == [1.5, "move", "move", 0.5, "measure", "measure"]
 
 
@@ -269,14 +236,14 @@ def test_the_robot_does_not_park_from_a_station_that_the_strip_no_longer_reads(b
         bed.rail.position_mm -= 0.14  # found by disturbance seed 6058
         session.hold_station(S300)
 
-    assert fault_of(bed, act) == "HC-S05"
+    assert bed.fault_of(act) == "HC-S05"
     assert bed.robot.moves == 0
     assert bed.rail.position_mm == S1100.strip_mm - 0.14
 
 
 def test_the_robot_does_not_park_while_the_rail_has_power(bed: Bed) -> None:
     bed.robot.joints_rad, bed.rail.powered = HOME_RAD, True
-    assert fault_of(bed, lambda session, number: session.park_robot()) == "HC-R42"
+    assert bed.fault_of(lambda session, number: session.park_robot()) == "HC-R42"
     assert bed.robot.moves == 0
 
 
@@ -288,9 +255,9 @@ def test_a_resumed_run_proves_its_station_by_the_strip(
         session.hold_station(S1100)
 
     bed.tracker.answer = broken_beam(3)
-    assert fault_of(bed, hold) == "HC-T10"
+    assert bed.fault_of(hold) == "HC-T10"
     bed.rail.position_mm += moved_mm
-    assert fault_of(bed, hold) == ""
+    assert bed.fault_of(hold) == ""
     assert len(bed.events("station found held")) == found
     assert len(bed.events("station held")) == 2 - found
 
@@ -309,7 +276,7 @@ def flange_pose(session: CellSession, number: int) -> None:
 
 def test_all_reflectors_of_a_pose_are_measured_after_one_motion(tmp_path: Path) -> None:
     bed = Bed(tmp_path, cell=SEATED)
-    assert fault_of(bed, flange_pose) == ""
+    assert bed.fault_of(flange_pose) == ""
     moves = [record for record in bed.records("intent") if record.key.startswith("flange")]
     assert [record.key for record in moves] == ["flange/0"]
     log = bed.log()
@@ -332,11 +299,11 @@ def test_a_run_that_ends_between_two_reflectors_measures_the_others_only(tmp_pat
             raise DeviceError("HC-T31", "Tracker", "measure", "it went away")
 
     bed.tracker.answer = ends
-    assert fault_of(bed, flange_pose) == "HC-T31"
+    assert bed.fault_of(flange_pose) == "HC-T31"
     assert list(bed.log().points) == ["flange/0"]
     first = bed.records("point")[0]
     bed.tracker.answer = lambda: None
-    assert fault_of(bed, flange_pose) == ""
+    assert bed.fault_of(flange_pose) == ""
     keys = [record.key for record in bed.records("point")]
     assert keys == ["flange/0", "flange/0/seat2", "flange/0/seat3", "p/0"]
     assert bed.records("point")[0] == first

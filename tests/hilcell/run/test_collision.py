@@ -196,13 +196,6 @@ def go_to(joints_rad: Array) -> Callable[[CellSession, int], None]:
     return go
 
 
-def fault_of(bed: Bed, act: Callable[[CellSession, int], None]) -> str:
-    bed.run(procedure(Points(1, act)))
-    end = bed.log().end
-    assert end is not None
-    return str(end.error.get("code", ""))
-
-
 @pytest.fixture
 def post(tmp_path: Path) -> Bed:
     return Bed(tmp_path, cell=POST)
@@ -211,7 +204,7 @@ def post(tmp_path: Path) -> Bed:
 def test_a_motion_through_a_volume_is_not_made(post: Bed) -> None:
     post.robot.joints_rad = LEFT
     at_post = HOME.copy()
-    assert fault_of(post, go_to(at_post)) == "HC-B34"
+    assert post.fault_of(go_to(at_post)) == "HC-B34"
     assert post.robot.moves == 0
 
 
@@ -225,7 +218,7 @@ def test_a_reading_from_before_a_motion_is_not_where_the_next_one_starts(post: B
         post.robot.joints_rad = RIGHT  # the sweep took it there
         session.robot_to(LEFT, "next")
 
-    assert fault_of(post, go) == "HC-B34"
+    assert post.fault_of(go) == "HC-B34"
     assert post.robot.moves == 2
 
 
@@ -246,7 +239,7 @@ def test_nobody_knows_where_a_motion_that_failed_has_ended(
                 session.robot_to(LEFT, "fails")
         session.robot_to(LEFT, "next")
 
-    assert fault_of(post, go) == "HC-B34"
+    assert post.fault_of(go) == "HC-B34"
     assert post.robot.moves == 2
 
 
@@ -273,23 +266,16 @@ def test_the_last_half_degree_is_a_way_too(tmp_path: Path) -> None:
     cell, below = wall_beside(HOME, 45.0), HOME - np.radians(CELL.robot.approach_deg)
     assert len(way(cell, SAFE, below)) == 2
     bed = Bed(tmp_path, cell=cell)
-    assert fault_of(bed, go_to(HOME)) == "HC-B34"
+    assert bed.fault_of(go_to(HOME)) == "HC-B34"
     assert bed.robot.moves == 0
 
 
-def test_a_robot_drives_by_its_safe_pose(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    bed, stops = Bed(tmp_path, cell=FAR_POST), list[Array]()
+def test_a_robot_drives_by_its_safe_pose(tmp_path: Path) -> None:
+    bed = Bed(tmp_path, cell=FAR_POST)
     bed.robot.joints_rad = LEFT
-    move = bed.robot.move_to
-
-    def moved(joints_rad: Array, speed_percent: float) -> RobotReading:
-        stops.append(np.array(joints_rad))
-        return move(joints_rad, speed_percent)
-
-    monkeypatch.setattr(bed.robot, "move_to", moved)
-    assert fault_of(bed, go_to(RIGHT)) == ""
+    assert bed.fault_of(go_to(RIGHT)) == ""
     below = RIGHT - np.radians(CELL.robot.approach_deg)
-    np.testing.assert_array_equal(stops, [SAFE, below, RIGHT])
+    np.testing.assert_array_equal(bed.robot.targets, [SAFE, below, RIGHT])
 
 
 def test_a_robot_that_moves_is_not_sent(post: Bed, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -299,13 +285,13 @@ def test_a_robot_that_moves_is_not_sent(post: Bed, monkeypatch: pytest.MonkeyPat
         return replace(read(), still=False)
 
     monkeypatch.setattr(post.robot, "read", moving)
-    assert fault_of(post, go_to(LEFT)) == "HC-B31"
+    assert post.fault_of(go_to(LEFT)) == "HC-B31"
     assert post.robot.moves == 0
 
 
 def test_a_robot_that_cannot_park_on_a_clear_way_stays(post: Bed) -> None:
     post.robot.joints_rad = HOME  # inside the post
-    assert fault_of(post, lambda session, number: session.park_robot()) == "HC-B34"
+    assert post.fault_of(lambda session, number: session.park_robot()) == "HC-B34"
     assert post.robot.moves == 0
 
 
@@ -322,7 +308,7 @@ def test_a_sweep_through_a_volume_is_not_made(
     def go(session: CellSession, number: int) -> None:
         session.sweep(order)
 
-    assert fault_of(bed, go) == code
+    assert bed.fault_of(go) == code
     assert bed.robot.moves == (2 if code == "HC-B34" else 0)  # to its start
 
 

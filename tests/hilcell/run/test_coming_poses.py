@@ -13,7 +13,7 @@ from hilcell.cell.file import Cell, KeepOut, Pose
 from hilcell.cell.surroundings import Surroundings, posture
 from hilcell.geometry.clearance import Proof
 from hilcell.model.point import PointId
-from hilcell.ports import Array, RobotReading
+from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import RESERVE_MM, UpcomingPoses, leaves_cube
 from tests.hilcell.run.bed import CELL, Bed
@@ -148,10 +148,7 @@ def visit(bed: Bed, *poses_rad: Array, swept_rad: Array | None = None) -> str:
             session.robot_to(joints_rad, "a point")
 
     bed.robot.joints_rad = LEFT
-    bed.run(procedure(Points(1, go)))
-    end = bed.log().end
-    assert end is not None
-    return str(end.error.get("code", ""))
+    return bed.fault_of(go)
 
 
 def test_ways_that_come_as_expected_are_proven_once(
@@ -170,25 +167,15 @@ def test_ways_that_come_as_expected_are_proven_once(
     assert proven == [6, 2]  # it comes from elsewhere than its safe pose
 
 
-def test_a_pose_that_is_expected_from_below_is_driven_to_from_above(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    bed, stops = Bed(tmp_path), list[Array]()
-    move = bed.robot.move_to
-
-    def moved(joints_rad: Array, speed_percent: float) -> RobotReading:
-        stops.append(np.array(joints_rad))
-        return move(joints_rad, speed_percent)
-
+def test_a_pose_that_is_expected_from_below_is_driven_to_from_above(bed: Bed) -> None:
     def go(session: CellSession, number: int) -> None:
         session.expect(S1100, FARTHER[None])
         id = PointId("reversal", vertex=(0, 0, 0), side=1)
         session.flange_point(id, S1100, FARTHER)
 
-    monkeypatch.setattr(bed.robot, "move_to", moved)
     bed.run(procedure(Points(1, go)))
     beyond = FARTHER + np.radians(CELL.robot.approach_deg)
-    np.testing.assert_array_equal(stops[-2:], [beyond, FARTHER])
+    np.testing.assert_array_equal(bed.robot.targets[-2:], [beyond, FARTHER])
 
 
 def test_a_robot_that_comes_from_elsewhere_has_its_way_proven_again(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hilcell.cell.file import Cell
-from hilcell.ports import Array, RobotReading
+from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from procedures.plan import joints_for
 from procedures.repeatability import Repeatability
@@ -26,20 +26,6 @@ def pausing(cell: Cell) -> Cell:
     return msgspec.structs.replace(cell, robot=robot)
 
 
-class Watched(Bed):
-    """A bed that notes the speed of every motion."""
-
-    def __init__(self, folder: Path, *, cell: Cell = CELL, unattended: bool = True) -> None:
-        super().__init__(folder, cell=cell, unattended=unattended)
-        self.speeds: list[float] = []
-        self._move = self.robot.move_to
-        self.robot.move_to = self._moved  # type: ignore[method-assign] # a spy
-
-    def _moved(self, joints_rad: Array, speed_percent: float) -> RobotReading:
-        self.speeds.append(speed_percent)
-        return self._move(joints_rad, speed_percent)
-
-
 def go(*poses: Array) -> Callable[[CellSession, int], None]:
     def act(session: CellSession, number: int) -> None:
         for joints in poses:
@@ -53,9 +39,9 @@ def run(bed: Bed, *poses: Array) -> None:
 
 
 def test_a_pose_outside_is_driven_to_slowly_once(tmp_path: Path) -> None:
-    bed = Watched(tmp_path)
+    bed = Bed(tmp_path)
     run(bed, OUT, HOME, CUBE, OUT, OUT + np.radians(0.5))
-    assert bed.speeds == [SLOW] * 4 + [USUAL] * 6
+    assert bed.robot.speeds == [SLOW] * 4 + [USUAL] * 6
     (event,) = bed.events("first pass")
     assert (event["key"], event["speed_percent"]) == ("a pose", SLOW)
 
@@ -64,13 +50,13 @@ def test_a_pose_outside_is_driven_to_slowly_once(tmp_path: Path) -> None:
 def test_another_pose_is_not_known(tmp_path: Path, axis: int) -> None:
     other = OUT.copy()
     other[axis] += np.radians(1.5)
-    bed = Watched(tmp_path)
+    bed = Bed(tmp_path)
     run(bed, OUT, other)
-    assert bed.speeds == [SLOW] * 4
+    assert bed.robot.speeds == [SLOW] * 4
 
 
 def test_the_same_pose_at_another_place_is_not_known(tmp_path: Path) -> None:
-    bed = Watched(tmp_path)
+    bed = Bed(tmp_path)
 
     def act(session: CellSession, number: int) -> None:
         for joints in (OUT, CUBE, OUT, CUBE):
@@ -79,11 +65,11 @@ def test_the_same_pose_at_another_place_is_not_known(tmp_path: Path) -> None:
         session.robot_to(OUT, "there")
 
     assert bed.run(procedure(Points(1, act))) == 0
-    assert bed.speeds == [SLOW] * 2 + [USUAL] * 6 + [SLOW] * 2
+    assert bed.robot.speeds == [SLOW] * 2 + [USUAL] * 6 + [SLOW] * 2
 
 
 def test_a_resumed_run_knows_only_motions_that_came_to_their_end(tmp_path: Path) -> None:
-    bed = Watched(tmp_path)
+    bed = Bed(tmp_path)
 
     def lost(session: CellSession, number: int) -> None:
         session.robot_to(HOME, "arrives")
@@ -91,9 +77,9 @@ def test_a_resumed_run_knows_only_motions_that_came_to_their_end(tmp_path: Path)
         raise RuntimeError("the engine dies")
 
     bed.run(procedure(Points(1, lost)))
-    bed.speeds.clear()
+    bed.robot.speeds.clear()
     run(bed, HOME, OUT)
-    assert bed.speeds == [USUAL, USUAL, SLOW, SLOW]
+    assert bed.robot.speeds == [USUAL, USUAL, SLOW, SLOW]
 
 
 def test_a_finished_run_s_poses_are_known_to_the_next(
@@ -101,38 +87,38 @@ def test_a_finished_run_s_poses_are_known_to_the_next(
 ) -> None:
     for name in ("first", "second"):
         (tmp_path / name).mkdir()
-    run(Watched(tmp_path / "first"), OUT)
+    run(Bed(tmp_path / "first"), OUT)
     monkeypatch.setitem(PLAN, "driven_by", ["deleted", "first"])
-    bed = Watched(tmp_path / "second")
+    bed = Bed(tmp_path / "second")
     run(bed, OUT, HOME)
-    assert bed.speeds == [USUAL, USUAL, SLOW, SLOW]
+    assert bed.robot.speeds == [USUAL, USUAL, SLOW, SLOW]
     (event,) = bed.events("earlier run unreadable")
     assert event["run"] == "deleted"
 
 
 def test_an_attended_run_pauses_before_the_first_of_them(tmp_path: Path) -> None:
-    bed = Watched(tmp_path, cell=pausing(CELL), unattended=False)
+    bed = Bed(tmp_path, cell=pausing(CELL), unattended=False)
     with Live(bed, procedure(Points(1, go(CUBE, OUT, HOME)))) as live:
         live.until("state", "paused")
-        assert bed.speeds == [USUAL, USUAL]
+        assert bed.robot.speeds == [USUAL, USUAL]
         live.runner.post("proceed")
         until(lambda: live.code == 0)
-    assert bed.speeds == [USUAL] * 2 + [SLOW] * 4
+    assert bed.robot.speeds == [USUAL] * 2 + [SLOW] * 4
     (paused,) = [r.body for r in bed.records("state") if r.body["to"] == "paused"]
     assert "a pose" in paused["reason"]
 
 
 def test_a_run_that_waits_there_can_be_stopped(tmp_path: Path) -> None:
-    bed = Watched(tmp_path, cell=pausing(CELL), unattended=False)
+    bed = Bed(tmp_path, cell=pausing(CELL), unattended=False)
     with Live(bed, procedure(Points(1, go(OUT)))) as live:
         live.until("state", "paused")
         live.runner.stop()
-    assert bed.speeds == []
+    assert bed.robot.speeds == []
     assert bed.states()[-1] == "aborted"
 
 
 def test_a_run_that_nobody_attends_goes_on(tmp_path: Path) -> None:
-    bed = Watched(tmp_path, cell=pausing(CELL))
+    bed = Bed(tmp_path, cell=pausing(CELL))
     run(bed, OUT)
-    assert bed.speeds == [SLOW, SLOW]
+    assert bed.robot.speeds == [SLOW, SLOW]
     assert "paused" not in bed.states()

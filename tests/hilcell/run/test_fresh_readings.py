@@ -57,8 +57,7 @@ def test_what_stays_old_is_left_to_the_interlocks(age: float) -> None:
 
 
 @pytest.mark.parametrize(("late", "code"), [(2, 0), (TRIES, 3)])
-def test_a_pc_that_is_late_now_and_then_moves_on(tmp_path: Path, late: int, code: int) -> None:
-    bed = Bed(tmp_path)
+def test_a_pc_that_is_late_now_and_then_moves_on(bed: Bed, late: int, code: int) -> None:
     ages_s = iter([9.0] * late + [0.0] * 100)
 
     def act(session: CellSession, number: int) -> None:
@@ -150,8 +149,7 @@ def test_after_a_commit_that_took_long_no_slide_moves_by_old_ones(tmp_path: Path
     assert did[-1] == "3"
 
 
-def test_the_slide_rests_after_homing_before_anything_is_measured(tmp_path: Path) -> None:
-    bed = Bed(tmp_path)
+def test_the_slide_rests_after_homing_before_anything_is_measured(bed: Bed) -> None:
     rested_s: list[float] = []
 
     def wait(duration_s: float) -> None:

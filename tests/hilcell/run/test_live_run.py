@@ -18,11 +18,6 @@ MANY = 10**6
 
 
 @pytest.fixture
-def bed(tmp_path: Path) -> Bed:
-    return Bed(tmp_path)
-
-
-@pytest.fixture
 def attended(tmp_path: Path) -> Bed:
     return Bed(tmp_path, unattended=False)
 

@@ -6,16 +6,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import msgspec
 import pytest
 
-from hilcell.cell.file import Cell
 from hilcell.invariants import check_invariants
 from hilcell.journal.journal import read_journal
 from hilcell.ports import RailReading, StripLost
 from hilcell.run.cell_session import CellSession
 from hilcell.run.device_status import CellMonitor
-from tests.hilcell.run.bed import CELL, Bed, Live
+from tests.hilcell.run.bed import CELL, Bed, Live, waiting
 from tests.hilcell.run.rig import DeskRail, Points, procedure
 
 S1100 = CELL.station_named("S1100")
@@ -35,11 +33,6 @@ class DirtyRail(DeskRail):
         if self.frozen_mm is not None:
             return replace(reading, strip_mm=self.frozen_mm)
         return reading
-
-
-def waiting(limit_s: float) -> Cell:
-    plan = msgspec.structs.replace(CELL.plan, unattended_wait_s=limit_s)
-    return msgspec.structs.replace(CELL, plan=plan)
 
 
 @pytest.fixture

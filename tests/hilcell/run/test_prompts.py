@@ -21,8 +21,8 @@ from tests.hilcell.run.rig import Points, failing, hang, procedure
 
 
 @pytest.fixture
-def bed(tmp_path: Path) -> Bed:
-    bed = Bed(tmp_path, unattended=False)
+def bed(bed: Bed) -> Bed:
+    bed.unattended = False
     bed.tracker.answer = blocked
     return bed
 
@@ -226,8 +226,8 @@ def test_a_beam_that_breaks_again_asks_again(bed: Bed, monkeypatch: pytest.Monke
     assert live.code == 0
 
 
-def test_unattended_nobody_is_asked(tmp_path: Path) -> None:
-    bed = Bed(tmp_path)
+def test_unattended_nobody_is_asked(bed: Bed) -> None:
+    bed.unattended = True
     bed.tracker.answer = broken_beam(3)
     assert bed.run(procedure(Points(1))) == 3
     assert "suspended" not in bed.states()

@@ -1,6 +1,5 @@
 """A point is re-measured while nothing was built on it, at once or when a run is resumed."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -107,11 +106,6 @@ class Flange:
 
     def result(self, log: Log) -> dict[str, Any]:
         return {}
-
-
-@pytest.fixture
-def bed(tmp_path: Path) -> Bed:
-    return Bed(tmp_path)
 
 
 def keys(bed: Bed) -> list[str]:

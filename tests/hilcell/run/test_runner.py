@@ -2,7 +2,6 @@
 
 import signal
 import threading
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,11 +17,6 @@ from hilcell.run.cell_session import CellSession
 from hilcell.run.runner import Runner
 from tests.hilcell.run.bed import Bed, broken_beam
 from tests.hilcell.run.rig import Points, hang, procedure
-
-
-@pytest.fixture
-def bed(tmp_path: Path) -> Bed:
-    return Bed(tmp_path)
 
 
 def test_a_run_that_goes_well(bed: Bed) -> None:

@@ -101,8 +101,7 @@ def other_rail(bed: Bed) -> str:
     return "serial 77"
 
 
-def test_nobody_there_another_rail_is_refused_again_and_again(tmp_path: Path) -> None:
-    bed = Bed(tmp_path)
+def test_nobody_there_another_rail_is_refused_again_and_again(bed: Bed) -> None:
     change = other_rail(bed)
     measured = bed.tracker.measured
     for _ in range(2):  # a refused one is not what the next resume is compared with
@@ -112,15 +111,14 @@ def test_nobody_there_another_rail_is_refused_again_and_again(tmp_path: Path) ->
     assert bed.events("changes accepted") == []
 
 
-def test_a_script_that_resumes_an_attended_run_does_not_wait(tmp_path: Path) -> None:
-    bed = Bed(tmp_path, unattended=False)
+def test_a_script_that_resumes_an_attended_run_does_not_wait(bed: Bed) -> None:
+    bed.unattended = False
     change = other_rail(bed)
     assert bed.run(procedure(Points(2)), Changes(can_ask=False)) == 2
     assert change in bed.log().fault
 
 
-def test_an_option_accepts_another_rail_and_the_journal_says_so(tmp_path: Path) -> None:
-    bed = Bed(tmp_path)
+def test_an_option_accepts_another_rail_and_the_journal_says_so(bed: Bed) -> None:
     change = other_rail(bed)
     assert bed.run(procedure(Points(2)), Changes(["the cell file"], accepted=True)) == 0
     (accepted,) = bed.events("changes accepted")
@@ -130,8 +128,8 @@ def test_an_option_accepts_another_rail_and_the_journal_says_so(tmp_path: Path) 
     assert bed.run(procedure(Points(3))) == 0  # from now on it is the one that was before
 
 
-def test_an_attended_run_waits_until_the_operator_agrees(tmp_path: Path) -> None:
-    bed = Bed(tmp_path, unattended=False)
+def test_an_attended_run_waits_until_the_operator_agrees(bed: Bed) -> None:
+    bed.unattended = False
     change = other_rail(bed)
     measured = bed.tracker.measured
     with Live(bed, procedure(Points(2))) as live:
@@ -143,8 +141,8 @@ def test_an_attended_run_waits_until_the_operator_agrees(tmp_path: Path) -> None
     assert bed.events("changes accepted")[0]["by"] == "the operator"
 
 
-def test_an_operator_who_stops_has_not_agreed(tmp_path: Path) -> None:
-    bed = Bed(tmp_path, unattended=False)
+def test_an_operator_who_stops_has_not_agreed(bed: Bed) -> None:
+    bed.unattended = False
     change = other_rail(bed)
     for _ in range(2):
         with Live(bed, procedure(Points(2))) as live:

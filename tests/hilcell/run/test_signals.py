@@ -134,8 +134,7 @@ def test_a_postponed_signal_comes_at_the_end() -> None:
     assert steps == ["done", "interrupted"]
 
 
-def test_a_signal_noted_while_the_run_is_set_up_stops_it(tmp_path: Path) -> None:
-    bed = Bed(tmp_path)
+def test_a_signal_noted_while_the_run_is_set_up_stops_it(bed: Bed) -> None:
     runner = bed.runner(procedure(Points(10**6)))
     assert runner.run([signal.SIGTERM]) == 4
     bed.journal.close()
@@ -150,10 +149,9 @@ def three() -> None:
 
 @pytest.mark.parametrize("ends_well", [True, False])
 def test_signals_while_a_run_is_torn_down_change_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ends_well: bool
+    bed: Bed, monkeypatch: pytest.MonkeyPatch, ends_well: bool
 ) -> None:
     """Devices are closed once, and the journal says how the run ended."""
-    bed = Bed(tmp_path)
     close = bed.rail.close
 
     def closing() -> None:
@@ -176,8 +174,7 @@ def test_signals_while_a_run_is_torn_down_change_nothing(
     assert bed.rail.closed == 1
 
 
-def test_ctrl_c_three_times_stops_a_run_in_good_order(tmp_path: Path) -> None:
-    bed = Bed(tmp_path)
+def test_ctrl_c_three_times_stops_a_run_in_good_order(bed: Bed) -> None:
 
     def pressed(session: CellSession, number: int) -> None:
         if number == 2:

@@ -8,11 +8,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import msgspec
 import pytest
 
 import hilcell.run.worker as worker_module
-from hilcell.cell.file import Cell
 from hilcell.invariants import check_invariants
 from hilcell.journal.journal import read_journal
 from hilcell.ports import Stopped
@@ -20,7 +18,7 @@ from hilcell.run.control import Command, Control, order
 from hilcell.run.meter import Meter
 from hilcell.run.worker import PauseGate, UnattendedPolling
 from tests.clocks import DrivenClock
-from tests.hilcell.run.bed import CELL, Bed, Live, Screen, broken_beam, until
+from tests.hilcell.run.bed import Bed, Live, Screen, broken_beam, until, waiting
 from tests.hilcell.run.rig import Points, procedure
 
 
@@ -136,11 +134,6 @@ def test_without_time_there_is_no_wait() -> None:
 
 
 FOR_EVER_S = 1e12
-
-
-def waiting(limit_s: float) -> Cell:
-    plan = msgspec.structs.replace(CELL.plan, unattended_wait_s=limit_s)
-    return msgspec.structs.replace(CELL, plan=plan)
 
 
 def test_it_suspends_and_goes_on_when_the_reading_is_good_again(tmp_path: Path) -> None:
