@@ -44,7 +44,7 @@ from hilcell.sanitize import clean
 from hilcell.tui.keys import ACTIONS
 from hilcell.tui.layout import Lines
 from hilcell.tui.run_view import RunView
-from hilcell.tui.screens.pages import record_row
+from hilcell.tui.screens.pages import RecordRow
 from hilcell.tui.session import RunUpdate
 from hilcell.tui.terminal import UNICODE
 from hilcell.tui.text.alarms import AlarmContext
@@ -347,7 +347,7 @@ def screen(data: bytes) -> None:
     ]
     painted = [
         *(line.plain for each in shown for line in each.lines(80)),
-        *(cell for record in view.records for cell in record_row(record).cells),
+        *(cell for record in view.records for cell in RecordRow.of(record)),
     ]
     for text in painted:
         assert not dangerous(clean(text)), text

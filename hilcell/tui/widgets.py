@@ -6,9 +6,10 @@ so that text from a device or an operator cannot reach the terminal as a command
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Generic, TypeVar
 
 from rich.cells import cell_len, set_cell_size
 from rich.segment import Segment
@@ -30,6 +31,8 @@ from textual.widgets import Input, Static
 from hilcell.sanitize import UNSAFE, clean
 from hilcell.tui.layout import Lines, appearance
 from hilcell.tui.terminal import to_ascii
+
+T = TypeVar("T")
 
 
 def _is_plain(widget: Widget) -> bool:
@@ -173,34 +176,34 @@ class TextField(Input):
             await self.run_action(binding.action)
 
 
-@dataclass(frozen=True, slots=True)
-class Column:
-    """One column: its header with the unit, its width, and whether it is right-aligned.
+Cell = str | tuple[str, str]  # a text, or a text and its tone
 
-    ``grows``: it takes all the room that the others leave, and its width at least.
+
+@dataclass(frozen=True)
+class Column(Generic[T]):
+    """One column: its header with the unit, its width, and the cell of each row.
+
+    ``grows``: it takes all the room that the others leave, and its width at least. ``least`` and
+    ``below``: the widths of a table that has it. A tone is a theme's variable; ``*`` before it is
+    bold.
     """
 
     title: str
     width: int
+    of: Callable[[T], Cell]
     right: bool = False
     grows: bool = False
+    least: int = 0
+    below: int = sys.maxsize
+
+    def is_in(self, width: int) -> bool:
+        return self.least <= width < self.below
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One row: its key, its cells, and its tone (a theme's variable).
-
-    ``tones``: one for each cell, in place of the row's; ``*`` before it is bold.
-    """
-
-    key: str
-    cells: tuple[str, ...]
-    tone: str = ""
-    tones: tuple[str, ...] = ()
-
-
-class Table(ScrollView, can_focus=True):
+class Table(ScrollView, Generic[T], can_focus=True):
     """A header, rows and a cursor. Only the rows in sight are drawn, so 10 000 cost what 20 cost.
+
+    ``key``: the name of a row; ``tone``: that of its cells which have none of their own.
 
     Posts `RowSelected` on Enter and `RowHighlighted` when the cursor moves.
     """
@@ -231,27 +234,35 @@ class Table(ScrollView, can_focus=True):
 
         key: str
 
-    def __init__(self, columns: Sequence[Column], *, empty: str, id: str | None = None) -> None:
+    def __init__(
+        self,
+        columns: Sequence[Column[T]],
+        key: Callable[[T], str],
+        *,
+        empty: str,
+        tone: Callable[[T], str] = lambda row: "",
+        id: str | None = None,
+    ) -> None:
         super().__init__(id=id)
-        self.columns = tuple(columns)
-        self.empty = empty
-        self.rows: Sequence[Row] = ()
+        self.columns, self.empty = columns, empty
+        self._key, self._row_tone = key, tone
+        self.rows: Sequence[T] = ()
         self.cursor = 0
         self.follow = False  # keep the cursor on the last row while rows come
 
     @property
     def key(self) -> str:
-        return self.rows[self.cursor].key if self.rows else ""
+        return self._key(self.rows[self.cursor]) if self.rows else ""
 
-    def show_rows(self, rows: Sequence[Row], columns: Sequence[Column] | None = None) -> None:
+    def show_rows(self, rows: Sequence[T], columns: Sequence[Column[T]] | None = None) -> None:
         """Show these rows; the cursor stays on its row where that is still there."""
         if columns is not None:
-            self.columns = tuple(columns)
+            self.columns = columns
         key, last = self.key, max(len(rows) - 1, 0)
         if self.follow and self.cursor >= len(self.rows) - 1:
             self.cursor = last
-        elif self.cursor > last or not rows or rows[self.cursor].key != key:
-            matches = (n for n, row in enumerate(rows) if row.key == key)
+        elif self.cursor > last or not rows or self._key(rows[self.cursor]) != key:
+            matches = (n for n, row in enumerate(rows) if self._key(row) == key)
             self.cursor = next(matches, min(self.cursor, last))
         self.rows = rows
         self.on_resize()
@@ -262,7 +273,7 @@ class Table(ScrollView, can_focus=True):
         self._show_cursor()
 
     def choose(self, key: str) -> None:
-        index = next((n for n, row in enumerate(self.rows) if row.key == key), None)
+        index = next((n for n, row in enumerate(self.rows) if self._key(row) == key), None)
         if index is not None:
             self._move(index)
 
@@ -298,24 +309,27 @@ class Table(ScrollView, can_focus=True):
     def render_line(self, y: int) -> Strip:
         """Draw one line: the header stays, the rows scroll under it."""
         base, index = self.rich_style, int(self.scroll_offset.y) + y - 1
+        columns = [each for each in self.columns if each.is_in(self.size.width)]
         if y == 0:
-            titles = tuple(column.title for column in self.columns)
-            return self._drawn(Row("", titles), self.get_component_rich_style("table--head"))
+            titles = {column: column.title for column in columns}
+            return self._drawn(titles, self.get_component_rich_style("table--head"))
         if not self.rows and y == 1:
             return self._strip([Segment(self._shown(f" {self.empty}"), base)], base)
         if index >= len(self.rows):
             return Strip.blank(self.size.width, base)
         row = self.rows[index]
+        cells = {column: column.of(row) for column in columns}
         if index == self.cursor:
-            return self._drawn(row, self.get_component_rich_style("table--cursor"), "►")
-        return self._drawn(row, base + self._tone(row.tone))
+            return self._drawn(cells, self.get_component_rich_style("table--cursor"), "►")
+        return self._drawn(cells, base + self._tone(self._row_tone(row)))
 
-    def _drawn(self, row: Row, style: Style, mark: str = " ") -> Strip:
+    def _drawn(self, cells: Mapping[Column[T], Cell], style: Style, mark: str = " ") -> Strip:
         """Draw a row after its mark, each cell in its own tone where it has one."""
         segments = [Segment(self._shown(mark), style)]
-        tones = row.tones or ("",) * len(row.cells)
-        for n, (cell, tone, column) in enumerate(zip(row.cells, tones, self.columns, strict=False)):
-            text = self._fit(self._shown(clean(cell)), self._width(column), right=column.right)
+        for n, (column, cell) in enumerate(cells.items()):
+            text, tone = cell if isinstance(cell, tuple) else (cell, "")
+            width = self._width(column, cells)
+            text = self._fit(self._shown(clean(text)), width, right=column.right)
             segments += [Segment(" ", style)] * bool(n)
             segments.append(Segment(self._shown(text), style + self._tone(tone)))
         return self._strip(segments, style)
@@ -332,10 +346,10 @@ class Table(ScrollView, can_focus=True):
         colour = self.app.theme_variables[name] if name else None
         return Style(color=colour, bold=tone != name or None)
 
-    def _width(self, column: Column) -> int:
+    def _width(self, column: Column[T], columns: Collection[Column[T]]) -> int:
         if not column.grows:
             return column.width
-        others = sum(each.width + 1 for each in self.columns if each is not column)
+        others = sum(each.width + 1 for each in columns if each is not column)
         room = self.scrollable_content_region.width  # beside the bar
         return max(room - 1 - others, column.width)
 

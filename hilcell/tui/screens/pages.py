@@ -7,12 +7,11 @@ import os
 import time
 import webbrowser
 from abc import abstractmethod
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from itertools import accumulate
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, Self
 
 import msgspec
 from textual.app import ComposeResult
@@ -32,7 +31,6 @@ from hilcell.model.plan import PlanRecord
 from hilcell.model.point import Point
 from hilcell.model.records import Ended, Fact, Intended, StateChanged
 from hilcell.model.verdicts import Verdict
-from hilcell.present.table import Column as Shown
 from hilcell.report.comparison import CHANGES, Change, Setting
 from hilcell.tui import process
 from hilcell.tui.keys import shown
@@ -46,10 +44,7 @@ from hilcell.tui.text.finished import report_lines
 from hilcell.tui.text.plots import MOST_TABS, Choice, Measured, plot_lines, tab_line, tabs_for
 from hilcell.tui.text.points import point_page
 from hilcell.tui.themes import SIXTEEN
-from hilcell.tui.widgets import Column, Row, Table, TextField, TextPanel
-
-if TYPE_CHECKING:
-    from hilcell.journal.index import RunRow
+from hilcell.tui.widgets import Column, Table, TextField, TextPanel
 
 
 class TextPage(Page):
@@ -158,11 +153,13 @@ class LogPage(FilterScreen, Page):
 
     def __init__(self) -> None:
         super().__init__()
-        self._rows: list[Row] = []
+        self._rows: list[RecordRow] = []
         self._seq = 0
 
     def body(self) -> ComposeResult:
-        rows = Table(log_columns(BEGIN), empty="no records")
+        rows = Table(
+            log_columns(BEGIN), attrgetter("seq"), empty="no records", tone=attrgetter("tone")
+        )
         rows.follow = True
         yield rows
         yield self.filter_box("filter: text of a record")
@@ -178,14 +175,12 @@ class LogPage(FilterScreen, Page):
         fresh = [record for record in view.records if record.seq > self._seq]
         if fresh:
             self._seq = fresh[-1].seq
-            self._rows += [record_row(record) for record in fresh]
+            self._rows += [RecordRow.of(record) for record in fresh]
             self.filter_rows()
 
     def filter_rows(self) -> None:
         words = self.filter_text.lower().split()
-        matching = [
-            row for row in self._rows if all(w in " ".join(row.cells).lower() for w in words)
-        ]
+        matching = [row for row in self._rows if all(w in row.searched for w in words)]
         view = self.application.view
         begun = view.records[0].t if view is not None and view.records else BEGIN
         self.query_one(Table).show_rows(matching, log_columns(begun))
@@ -359,17 +354,6 @@ class PlotPage(Page):
         return len(tabs_for(view.log)) if view is not None and view.log.plan is not None else 0
 
 
-_ALWAYS = 63  # columns of date with time, procedure, verdict and operator, and of the edges
-
-
-class _Column(NamedTuple):
-    """One column of the history: its width, and its rank where there is little room."""
-
-    width: int
-    shown: Shown[RunRow]
-    rank: int = 0  # 0: always there; the highest goes first
-
-
 def _outcome(run: RunRow) -> str:
     if run.live:
         return "LIVE " + run.state
@@ -382,66 +366,69 @@ def _local(run: RunRow) -> str:
     return ""
 
 
-def _kind(run: RunRow) -> str:
-    return ("SIM" if run.simulated else "real") if run.readable else ""
+def _figure(name: str, form: str) -> Callable[[RunRow], str]:
+    value = attrgetter(name)
+    return lambda run: "" if value(run) is None else format(value(run), form)
 
 
-_COLUMNS = (
-    _Column(13, Shown("procedure", lambda run: run.procedure or run.name[-13:])),
-    _Column(16, Shown("verdict or state", _outcome)),
-    _Column(10, Shown("operator", attrgetter("operator"))),
-    _Column(4, Shown("kind", _kind), 1),
-    _Column(10, Shown("cell", attrgetter("cell")), 2),
-    _Column(6, Shown("points", lambda run: run.points or None, form="d"), 6),
-    _Column(6, Shown("before", attrgetter("before_mean_mm"), form=".3f"), 4),
-    _Column(6, Shown("after", attrgetter("chosen_mean_mm"), form=".3f"), 3),
-    _Column(6, Shown("max", attrgetter("chosen_max_mm"), "mm", ".3f"), 8),
-    _Column(10, Shown("local time", _local), 5),
-    _Column(12, Shown("job", attrgetter("job")), 7),
-    _Column(36, Shown("run", attrgetter("name")), 9),
-)
+RUN_COLUMNS = (  # after the mark; |e| before and after in mm
+    Column("begun UTC", 16, lambda run: run.begun.replace("T", " ")[:16], least=63),
+    Column("begun", 10, lambda run: run.begun[:10], below=63),
+    Column("procedure", 13, lambda run: run.procedure or run.name[-13:]),
+    Column("verdict or state", 16, _outcome),
+    Column("operator", 10, attrgetter("operator")),
+    Column("kind", 4, lambda run: ("SIM" if run.simulated else "real") if run.readable else "",
+           least=68),
+    Column("cell", 10, attrgetter("cell"), least=79),
+    Column("points", 6, lambda run: str(run.points or ""), right=True, least=111),
+    Column("before", 6, _figure("before_mean_mm", ".3f"), right=True, least=93),
+    Column("after", 6, _figure("chosen_mean_mm", ".3f"), right=True, least=86),
+    Column("max mm", 6, _figure("chosen_max_mm", ".3f"), right=True, least=131),
+    Column("local time", 10, _local, least=104),
+    Column("job", 12, attrgetter("job"), least=124),
+    Column("run", 36, attrgetter("name"), least=168),
+)  # fmt: skip
 
 
-def _columns_in(width: int) -> list[_Column]:
-    ranked = sorted((each for each in _COLUMNS if each.rank), key=attrgetter("rank"))
-    taken = accumulate(each.width + 1 for each in ranked)
-    kept = ranked[: sum(columns <= width - _ALWAYS for columns in taken)]
-    return [each for each in _COLUMNS if not each.rank or each in kept]
-
-
-def columns_for(width: int) -> tuple[Column, ...]:
-    """Return the columns that fit; mean |e| before and after in mm."""
-    begun = Column("begun UTC", 16) if width >= _ALWAYS else Column("begun", 10)
-    columns = (
-        Column(shown.header, each, right=bool(shown.form)) for each, shown, _ in _columns_in(width)
-    )
-    return Column("", 1), begun, *columns
-
-
-def history_row(run: RunRow, marked: Collection[str], width: int) -> Row:
+def run_tone(run: RunRow) -> str:
     tones = {"finished": "", "aborted": "label", "faulted": "fault"}
-    tone = "live" if run.live else "fault" if run.exit in (1, 3) else tones.get(run.state, "ask")
-    begun = run.begun.replace("T", " ")[: columns_for(width)[1].width]
-    texts = (each.shown.text(each.shown.of(run)) for each in _columns_in(width))
-    return Row(run.name, ("*" if run.name in marked else "", begun, *texts), tone)
+    return "live" if run.live else "fault" if run.exit in (1, 3) else tones.get(run.state, "ask")
 
 
-def log_columns(t: str) -> tuple[Column, ...]:
+class RecordRow(NamedTuple):
+    """One line of the event log."""
+
+    seq: str
+    time: str
+    kind: str
+    what: str
+    tone: str
+
+    @classmethod
+    def of(cls, record: Record) -> Self:
+        tones = {"faulted": "fault", "suspended": "ask", "aborted": "ask"}
+        fact, moment = record.fact, in_zone(record.t)
+        tone = tones.get(fact.to, "") if isinstance(fact, StateChanged) else ""
+        utc = record.t[11:23]
+        time = f"{moment:%H:%M:%S} ({utc[:8]})" if moment.utcoffset() else utc
+        what = record_text(record.key, fact).replace("\n", " ")
+        return cls(str(record.seq), time, record.kind, what, tone)
+
+    @property
+    def searched(self) -> str:
+        return " ".join(self[:4]).lower()
+
+
+def log_columns(t: str) -> tuple[Column[RecordRow], ...]:
     """Return the columns of the event log; ``t``, a time in it, says whether local time is UTC."""
     moment = in_zone(t)
-    time = Column(f"{moment:%Z} (UTC)", 19) if moment.utcoffset() else Column("UTC", 12)
-    what = Column("what", 20, grows=True)
-    return Column("record", 6, right=True), time, Column("kind", 8), what
-
-
-def record_row(record: Record) -> Row:
-    tones = {"faulted": "fault", "suspended": "ask", "aborted": "ask"}
-    fact = record.fact
-    tone = tones.get(fact.to, "") if isinstance(fact, StateChanged) else ""
-    moment = in_zone(record.t)
-    time = f"{moment:%H:%M:%S} ({record.t[11:19]})" if moment.utcoffset() else record.t[11:23]
-    what = record_text(record.key, fact).replace("\n", " ")
-    return Row(str(record.seq), (str(record.seq), time, record.kind, what), tone)
+    title, width = (f"{moment:%Z} (UTC)", 19) if moment.utcoffset() else ("UTC", 12)
+    return (
+        Column("record", 6, attrgetter("seq"), right=True),
+        Column(title, width, attrgetter("time")),
+        Column("kind", 8, attrgetter("kind")),
+        Column("what", 20, attrgetter("what"), grows=True),
+    )
 
 
 def record_text(key: str, fact: Fact) -> str:
@@ -503,7 +490,9 @@ class HistoryPage(FilterScreen, Page):
         self._reading = False
 
     def body(self) -> ComposeResult:
-        yield Table(columns_for(self.line_width), empty="reading the index ...")
+        mark = Column[RunRow]("", 1, lambda run: "*" * (run.name in self._marked))
+        columns = (mark, *RUN_COLUMNS)
+        yield Table(columns, attrgetter("name"), empty="reading the index ...", tone=run_tone)
         yield self.filter_box("filter: words, state:faulted, operator:ann, -word")
 
     def begin(self) -> None:
@@ -511,11 +500,6 @@ class HistoryPage(FilterScreen, Page):
         super().begin()
         self._read_index()
         self.set_interval(self.AGAIN_S, self._read_index)  # runs begin and end
-
-    def on_resize(self) -> None:
-        """Show as many columns as fit; Textual calls the base class's, too."""
-        if self.is_shown:
-            self.filter_rows()
 
     def _read_index(self) -> None:
         """Read, once at a time: the first index of many runs takes a while."""
@@ -538,9 +522,7 @@ class HistoryPage(FilterScreen, Page):
         from hilcell.journal.index import matches
 
         runs = [run for run in self._runs if matches(run, self.filter_text)]
-        wide = self.line_width
-        rows = [history_row(run, self._marked, wide) for run in runs]
-        self.query_one(Table).show_rows(rows, columns_for(wide))
+        self.query_one(Table).show_rows(runs)
         title = f"History: {len(runs)} of {len(self._runs)} runs; errors in mm"
         self.panel("title").show(Content.styled(title, "bold"))
 
@@ -567,18 +549,23 @@ class HistoryPage(FilterScreen, Page):
         self.app.push_screen(ComparePage(first, second))
 
 
+def _change(n: int) -> Callable[[Change], str]:
+    return lambda change: CHANGES[n].text(CHANGES[n].of(change), minus="-")
+
+
+CHANGE_COLUMNS = (
+    Column("where", 16, _change(0)),
+    Column("what", 20, lambda change: f"{_change(1)(change)}, {change.unit}"),
+    Column("first", 7, _change(2), right=True),
+    Column("second", 7, _change(3), right=True),
+    Column("change", 8, _change(4), right=True),
+    Column("limit", 7, _change(5), right=True),
+    Column("verdict", 7, _change(7)),
+)
+
+
 class ComparePage(Page):
     """Shows the output of `hilcell compare` for two runs."""
-
-    COLUMNS = (
-        Column("where", 16),
-        Column("what", 20),
-        Column("first", 7, right=True),
-        Column("second", 7, right=True),
-        Column("change", 8, right=True),
-        Column("limit", 7, right=True),
-        Column("verdict", 7),
-    )
 
     title_text = "Comparison"
     footer = ("stop", "quit")
@@ -589,7 +576,12 @@ class ComparePage(Page):
 
     def body(self) -> ComposeResult:
         yield TextPanel("comparison_text")
-        yield Table(self.COLUMNS, empty="reading both journals ...")
+        yield Table(
+            CHANGE_COLUMNS,
+            lambda change: f"{change.place}/{change.what}",
+            empty="reading both journals ...",
+            tone=lambda change: "fault" if change.verdict == "beyond" else "",
+        )
 
     def begin(self) -> None:
         super().begin()
@@ -607,7 +599,7 @@ class ComparePage(Page):
             raise
         if self.is_shown:
             self.panel("comparison_text").show(comparison.words)
-            self.query_one(Table).show_rows(comparison.rows)
+            self.query_one(Table).show_rows(comparison.changes)
 
 
 class Compared(msgspec.Struct, frozen=True, kw_only=True):
@@ -626,15 +618,3 @@ class Compared(msgspec.Struct, frozen=True, kw_only=True):
             f"{each.key}: {each.first or '-'} -> {each.second or '-'}" for each in self.settings[:4]
         ]
         return Content.assemble("\n".join(lines), "\n", (self.verdict, "bold"))
-
-    @property
-    def rows(self) -> list[Row]:
-        rows = []
-        for each in self.changes:
-            where, what, *figures, unit, verdict = (
-                column.text(column.of(each), minus="-") for column in CHANGES
-            )
-            tone = "fault" if each.verdict == "beyond" else ""
-            cells = where, f"{what}, {unit}", *figures, verdict
-            rows.append(Row(f"{each.place}/{each.what}", cells, tone))
-        return rows

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import ClassVar
 
 from textual.app import ComposeResult
@@ -23,7 +24,7 @@ from hilcell.tui.text.actions import WORDS as SHORT_LABELS
 from hilcell.tui.text.alarms import AlarmBox, newest_line, panel_is_due, saved_text
 from hilcell.tui.text.devices import DeviceText
 from hilcell.tui.text.finished import Result, finished_verdict, result_of
-from hilcell.tui.text.points import PointRow, PointRows, columns_for, filtered
+from hilcell.tui.text.points import PointRow, PointRows, filtered, point_columns
 from hilcell.tui.text.prompt import PromptBox
 from hilcell.tui.text.run import RunText, Shown, block_rows
 from hilcell.tui.text.side import side_lines
@@ -92,7 +93,7 @@ class RunScreen(FilterScreen):
                     yield TextPanel(name)
                 yield PromptBox(id="prompt")
                 yield AlarmBox(id="alarm")
-                yield Table(columns_for(80), empty="no points yet", id="points")
+                yield Table(point_columns(), attrgetter("key"), empty="no points yet", id="points")
                 yield self.filter_box("filter: words of name, station or state")
                 yield TextPanel("status")
                 yield TextPanel("below")
@@ -233,9 +234,8 @@ class RunScreen(FilterScreen):
     def _show_points(self, view: RunView) -> None:
         rows = self.query_one(Table)
         waiting = frozenset(view.status.retakes) if view.status is not None else frozenset()
-        wide = rows.size.width or self.line_width
         newest = view.records[-1].seq if view.records else 0
-        state = (newest, self.filter_text, self.bad_only, self.worst_first, waiting, wide)
+        state = (newest, self.filter_text, self.bad_only, self.worst_first, waiting)
         if state == self._points_seen:
             return
         self._points_seen = state
@@ -247,10 +247,10 @@ class RunScreen(FilterScreen):
             all_key = shown(self.application.keymap["bad"][0])
             rows.empty = f"no such point is bad; {all_key} shows all"
         rows.follow = not self.worst_first
-        rows.show_rows(
-            [self._table.drawn(each, waiting, wide) for each in matching],
-            columns_for(wide, **order),
-        )
+        shown_rows = [
+            replace(each, state="waits") if each.key in waiting else each for each in matching
+        ]
+        rows.show_rows(shown_rows, point_columns(**order))
         if self._chosen in view.log.points:
             rows.choose(self._chosen)
             self._chosen = ""

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple, Self
+from typing import ClassVar, Self
 
 from hilcell.calibration.measurement_budget import measurement_budget
 from hilcell.calibration.position_errors import counting, position_errors
@@ -21,7 +21,7 @@ from hilcell.model.point import Point, Sent
 from hilcell.ports import HilcellError
 from hilcell.tui.layout import Lines, Stack, figure, labelled_rows
 from hilcell.tui.run_view import RunView
-from hilcell.tui.widgets import Column, Row
+from hilcell.tui.widgets import Column
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +121,10 @@ class PointRow:
         return cls(point, deviation, state_of(log, point, deviation))
 
     @property
+    def key(self) -> str:
+        return self.point.key
+
+    @property
     def norm_mm(self) -> float:
         """Return |e|, or -1 where there is none, so that it sorts last."""
         return -1.0 if self.deviation is None else self.deviation.norm_mm
@@ -137,34 +141,9 @@ class PointRow:
         share = known.norm_mm / known.limit_mm
         return "▄" * max(round(8 * share) if share <= 1.0 else 8, 1), tone
 
-    def to_row(self, waiting: Collection[str], width: int) -> Row:
-        """Return the cells of one point; ``waiting`` names those that are to be re-measured."""
-        point = self.point
-        row = replace(self, state="waits") if point.key in waiting else self
-        name = point.id.short
-        if width < STATIONS_FROM:
-            name = f"{name} {point.station}".rstrip()
-        cells = (field.cell(row) for field in _FIELDS if field.is_in(width))
-        texts, tones = zip((name, ""), *cells, strict=True)
-        return Row(point.key, texts, tones=tones)
-
 
 def row_of(log: Log, point: Point) -> PointRow:
     return PointRow.of(log, point, deviation_of(log, point))
-
-
-BARS_FROM, RMS_FROM, WIDE_WITH_BARS = 78, 69, 128  # widths of the table
-BESIDE_NAME, BESIDE_NAME_ALONE = 40, 18  # columns, where stations have none
-WIDE = 119  # from here on, nominal and measured places too
-STATIONS_FROM, FIGURES_FROM = 62, 54  # columns of the table
-
-
-class _Field(NamedTuple):
-    """One column of the points, the widths of a table that has it, and its cell and tone."""
-
-    column: Column
-    is_in: Callable[[int], bool]
-    cell: Callable[[PointRow], tuple[str, str]]
 
 
 def _known(tone: str, text: Callable[[Deviation], str]) -> Callable[[PointRow], tuple[str, str]]:
@@ -182,37 +161,38 @@ def _triple(values: Sequence[float] | None, digits: int, room: int) -> str:
     return next((text for text in texts if len(text) <= room), "see its page")
 
 
-_FIELDS = (  # after the name
-    _Field(Column("station", 7), lambda width: width >= STATIONS_FROM,
-           lambda row: (row.point.station, "label")),
-    _Field(Column("nominal x y z mm", 22, right=True), lambda width: width >= WIDE,
-           lambda row: (_triple(row.point.nominal_mm, 1, 22), "label")),
-    _Field(Column("measured x y z mm", 26, right=True), lambda width: width >= WIDE,
-           _known("label", lambda e: _triple(e.actual_mm, 3, 26))),
-    _Field(Column("dx", 6, right=True), lambda width: width >= FIGURES_FROM, _error(0)),
-    _Field(Column("dy", 7, right=True), lambda width: width >= FIGURES_FROM, _error(1)),
-    _Field(Column("dz", 7, right=True), lambda width: width >= FIGURES_FROM, _error(2)),
-    _Field(Column("|e| mm", 6, right=True), lambda width: True,
-           _known("*", lambda e: figure(e.norm_mm))),
-    _Field(Column("", 8), lambda width: BARS_FROM <= width < WIDE or width >= WIDE_WITH_BARS,
-           PointRow.bar),
-    _Field(Column("rms", 6, right=True), lambda width: width >= RMS_FROM,
-           lambda row: (f"{rms(row.point.std_mm):.3f}", "label")),
-    _Field(Column("", 0), lambda width: True, lambda row: ("", "")),
-    _Field(Column("state", 7), lambda width: True, PointRow.said),
+STATIONS_FROM, WIDE = 62, 119  # widths of the table: stations have a column; places, too
+_COLUMNS = (  # after the name
+    Column("station", 7, lambda row: (row.point.station, "label"), least=STATIONS_FROM),
+    Column("nominal x y z mm", 22, lambda row: (_triple(row.point.nominal_mm, 1, 22), "label"),
+           right=True, least=WIDE),
+    Column("measured x y z mm", 26, _known("label", lambda e: _triple(e.actual_mm, 3, 26)),
+           right=True, least=WIDE),
+    Column("dx", 6, _error(0), right=True, least=54),
+    Column("dy", 7, _error(1), right=True, least=54),
+    Column("dz", 7, _error(2), right=True, least=54),
+    Column("|e| mm", 6, _known("*", lambda e: figure(e.norm_mm)), right=True),
+    Column("", 8, PointRow.bar, least=78, below=WIDE),
+    Column("", 8, PointRow.bar, least=128),
+    Column("rms", 6, lambda row: (f"{rms(row.point.std_mm):.3f}", "label"), right=True, least=69),
+    Column("", 0, lambda row: ""),
+    Column("state", 7, PointRow.said),
 )  # fmt: skip
 
 
-def columns_for(width: int, *, bad_only: bool = False, worst: bool = False) -> Sequence[Column]:
-    """Return the columns that a table of this width shows; the first title names the filter.
+def point_columns(*, bad_only: bool = False, worst: bool = False) -> Sequence[Column[PointRow]]:
+    """Return the columns of the points; the first title names the filter.
 
     Where the station has no column of its own, it is beside the name.
     """
     title = ("bad by |e|" if worst else "bad points") if bad_only else "worst first"
-    beside = BESIDE_NAME if width >= FIGURES_FROM else BESIDE_NAME_ALONE
-    name = 14 if width >= STATIONS_FROM else max(width - beside, 8)
-    shown = (field.column for field in _FIELDS if field.is_in(width))
-    return Column(title if bad_only or worst else "point", name), *shown
+    title = title if bad_only or worst else "point"
+    return (
+        Column(title, 14, lambda row: row.point.id.short, least=STATIONS_FROM),
+        Column(title, 8, lambda row: f"{row.point.id.short} {row.point.station}".rstrip(),
+               grows=True, below=STATIONS_FROM),
+        *_COLUMNS,
+    )  # fmt: skip
 
 
 class PointRows:
@@ -225,7 +205,6 @@ class PointRows:
 
     def __init__(self) -> None:
         self._found: dict[str, tuple[int, PointRow]] = {}
-        self._drawn: dict[str, tuple[PointRow, bool, int, Row]] = {}
         self._world: object = None  # the frame in which the deviations are
         self._U_mm, self._U_of = 0.0, (0, False)  # of how many points, and whether at the end
 
@@ -261,13 +240,6 @@ class PointRows:
     def deviation(self, log: Log, point: Point) -> Deviation | None:
         row = self._row(point.key, log.changed.get(point.key, 0))
         return deviation_of(log, point) if row is None else row.deviation
-
-    def drawn(self, row: PointRow, waiting: Collection[str], width: int) -> Row:
-        key, waits = row.point.key, row.point.key in waiting
-        known = self._drawn.get(key)
-        if known is None or known[0] is not row or known[1:3] != (waits, width):
-            known = self._drawn[key] = (row, waits, width, row.to_row(waiting, width))
-        return known[3]
 
 
 def filtered(

@@ -417,6 +417,10 @@ async def test_a_point_is_re_measured_after_a_question(
     await press(pilot, "n", "r", "y")
     if state in LIVE:
         assert app.recorded.asked == [("retake", {"key": "grid/0-0-4"})]
+        waiting = msgspec.structs.replace(status(state), retakes=["grid/0-0-4"])
+        app.receive(app.recorded, RunUpdate([], EngineState.ANSWERING, waiting))
+        await settle(pilot)
+        assert text_of(app).count("○ waits") == 1
     else:
         assert [words[-2:] for _, words in app.engines] == [["--retake", "grid/0-0-4"]]
 

@@ -397,8 +397,13 @@ async def test_the_run_under_the_cursor_is_the_one_marked(app: Stage, pilot: Pre
     await press(pilot, "h")
     type_ahead(app, "x", "down", "down", "x", "up", "x", "x")
     await settle(pilot)
-    marks = [row.cells[0] for row in app.screen.query_one(Table).rows]
-    assert marks == ["", "", "*", ""]  # of three the first went, the third was taken back
+    table = app.screen.query_one(Table)
+    assert [table.columns[0].of(run) for run in table.rows] == [
+        "",
+        "",
+        "*",
+        "",
+    ]  # of three the first went, the third was taken back
 
 
 @on_screen("running")

@@ -26,15 +26,14 @@ from hilcell.model.records import Ended, Fact, Intended, StateChanged
 from hilcell.run.order import Order
 from hilcell.tui.keys import load_keys
 from hilcell.tui.screens.pages import (
+    CHANGE_COLUMNS,
+    RUN_COLUMNS,
     Compared,
-    ComparePage,
     HistoryPage,
     InterlockPage,
-    columns_for,
-    history_row,
-    log_columns,
-    record_row,
+    RecordRow,
     record_text,
+    run_tone,
 )
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary
@@ -57,7 +56,7 @@ from tests.hilcell.tui.recording_app import (
     until,
 )
 from tests.hilcell.tui.sample_runs import measuring, sample_runs
-from tests.hilcell.tui.views import drawn
+from tests.hilcell.tui.views import cells, drawn
 from tests.hilcell.verdicts import BACKLASH, WORLD
 
 __all__ = ["isolated"]
@@ -403,55 +402,31 @@ def test_each_kind_has_its_words(key: str, fact: Fact, wanted: str) -> None:
 
 
 def test_every_record_of_a_run_becomes_one_line() -> None:
-    for run in sample_runs().values():
-        for record in run.records:
-            row = record_row(record)
-            assert len(row.cells) == len(log_columns(T))
-            assert row.cells[-1]
-            assert "\n" not in row.cells[-1]
-
-
-def test_a_row_tells_number_time_and_kind() -> None:
-    row = record_row(
-        Record(17, T, "state", "", {"machine": "run", "to": "faulted", "reason": "a\nb"})
-    )
-    assert row.cells[3] == "run is faulted: a b"
-    assert row.cells[:3] == ("17", "08:00:01.250", "state")
-    assert row.tone == "fault"
+    whats = [RecordRow.of(r).what for run in sample_runs().values() for r in run.records]
+    assert all(what and "\n" not in what for what in whats)
+    body = {"machine": "run", "to": "faulted", "reason": "a\nb"}
+    row = RecordRow.of(Record(17, T, "state", "", body))
+    assert row == ("17", "08:00:01.250", "state", "run is faulted: a b", "fault")
 
 
 # -- the history -----------------------------------------------------------------------------------
 
 
-WIDTHS = (58, 79, 80, 119, 138, 200)
-
-
-def test_what_is_marked_is_seen() -> None:
-    assert history_row(RUNS[0], [RUNS[0].name], 80).cells[0] == "*"
-    assert history_row(RUNS[0], [RUNS[1].name], 80).cells[0] == ""
-
-
-def test_the_history_says_how_a_run_out_of_tolerance_came_out() -> None:
+def test_the_history_says_how_a_run_came_out() -> None:
     suspected = CalibrationFacts(suspected=True)
     both = CalibrationFacts(suspected=True, outcome=Outcome.REJECTED)
-    runs = [replace(RUNS[1], facts=facts) for facts in (suspected, both)]
-    assert [history_row(run, (), 200).cells[3] for run in runs] == ["suspected", "out of tolerance"]
+    runs = [*RUNS, *(replace(RUNS[1], facts=facts) for facts in (suspected, both))]
+    (said,) = [column.of for column in RUN_COLUMNS if column.title == "verdict or state"]
+    outcomes = ["in tolerance", "out of tolerance", "engine gone", "unreadable"]
+    assert [said(run) for run in runs] == [*outcomes, "suspected", "out of tolerance"]
+    assert [run_tone(run) for run in RUNS[:2]] == ["", "fault"]
 
 
-def test_the_history_tells_how_a_run_ended() -> None:
-    reported = [history_row(run, (), 200).cells[3] for run in RUNS]
-    assert reported == ["in tolerance", "out of tolerance", "engine gone", "unreadable"]
-    assert [history_row(run, (), 200).tone for run in RUNS[:2]] == ["", "fault"]
-
-
-@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("width", [58, 79, 80, 119, 138, 200])
 def test_the_history_always_has_date_procedure_verdict_and_operator(width: int) -> None:
-    columns = columns_for(width)
-    assert all(len(history_row(run, (), width).cells) == len(columns) for run in RUNS)
-    assert sum(column.width + 1 for column in columns) <= width - 1, "beside the simulation's edge"
-    found = dict(
-        zip([each.title for each in columns], history_row(RUNS[0], (), width).cells, strict=True)
-    )
+    row = cells(RUN_COLUMNS, RUNS[0], width)
+    assert 2 + sum(column.width + 1 for column in row) <= width - 1, "beside mark and edge"
+    found = {column.title: text for column, text in row.items()}
     date = found.get("begun UTC") or found["begun"]
     assert date.startswith("2026-03-04")
     assert found["procedure"] == "calibrate"
@@ -464,10 +439,8 @@ def test_the_history_always_has_date_procedure_verdict_and_operator(width: int) 
 
 
 def test_a_comparison_tells_stations_apart_in_80_columns() -> None:
-    rows = typed(COMPARISON, Compared).rows
-    widths = [column.width for column in ComparePage.COLUMNS]
-    shown = [tuple(c[:w] for c, w in zip(row.cells[:2], widths, strict=False)) for row in rows]
-    assert len(set(shown)) == len(rows)
-    assert rows[0].cells[:2] == ("S1100 targets", "corrected: mean, mm")
-    assert len(rows[0].cells[1]) <= widths[1]
-    assert sum(widths) + len(widths) <= 79
+    rows = [cells(CHANGE_COLUMNS, change) for change in typed(COMPARISON, Compared).changes]
+    shown = [[text[: column.width] for column, text in row.items()][:2] for row in rows]
+    assert len(set(map(tuple, shown))) == len(rows)
+    assert shown[0] == ["S1100 targets", "corrected: mean, mm"]
+    assert sum(column.width + 1 for column in CHANGE_COLUMNS) <= 79

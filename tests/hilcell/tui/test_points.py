@@ -19,9 +19,9 @@ from hilcell.model.point import Point, PointId
 from hilcell.tui.run_view import RunView
 from hilcell.tui.text.points import (
     PointRows,
-    columns_for,
     deviation_of,
     filtered,
+    point_columns,
     point_page,
     row_of,
     state_of,
@@ -29,7 +29,7 @@ from hilcell.tui.text.points import (
 from hilcell.tui.text.run import Shown
 from tests.hilcell.report.journals import Writer
 from tests.hilcell.tui.sample_runs import SampleRun, measuring, validated
-from tests.hilcell.tui.views import drawn
+from tests.hilcell.tui.views import cells, drawn
 
 ROTATION_DEG = 37.0
 
@@ -202,31 +202,26 @@ def test_a_point_within_its_uncertainty_of_the_limit_is_neither_in_nor_out() -> 
 
 def test_a_row_tells_the_deviation_and_its_state() -> None:
     log = log_of(validated(worst_mm=1.2))
-    point = log.points["validate/S1100/chosen/001"]
-    row = row_of(log, point).to_row((), 80)
+    row = row_of(log, log.points["validate/S1100/chosen/001"])
     bar = "▄" * 8  # the limit and all beyond it
-    figures = ("+0.000", "+1.200", "+0.010", "1.200", bar, "0.010")
-    assert row.cells == ("corrected 2", "S1100", *figures, "", "▲ OUT")
-    assert row.tones[-1] == "*fault"
-    assert row_of(log, point).to_row([point.key], 80).cells[-1] == "○ waits"
-
-
-def test_a_point_without_nominal_has_no_errors() -> None:
-    log = log_of(measuring())
-    row = row_of(log, log.points["world/F1"]).to_row((), 80)
-    assert row.cells == ("nest F1", "", "", "", "", "", "", "0.010", "", "· ok")
+    figures = ["+0.000", "+1.200", "+0.010", "1.200", bar, "0.010"]
+    texts = [*cells(point_columns(), row).values()]
+    assert texts == ["corrected 2", "S1100", *figures, "", "▲ OUT"]
+    assert row.said()[1] == "*fault"
+    bare = row_of(log, log.points["world/F1"])  # without a nominal place
+    assert [*cells(point_columns(), bare).values()] == [
+        "nest F1", "", "", "", "", "", "", "0.010", "", "· ok",
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("width", [40, 59, 79, 119, 200])
 def test_columns_go_where_there_is_no_room_but_never_the_error_or_the_state(width: int) -> None:
-    columns = columns_for(width)
-    assert {"point", "|e| mm", "state"} <= {column.title for column in columns}
-    assert sum(column.width for column in columns) + len(columns) <= width
-    log = log_of(validated(worst_mm=1.2))
-    for point in log.points.values():
-        row = row_of(log, point).to_row((), width)
-        assert len(row.cells) == len(row.tones) == len(columns)
-        assert point.station in row.cells or row.cells[0].endswith(point.station)
+    for row in PointRows().rows(log_of(validated(worst_mm=1.2))):
+        found = cells(point_columns(), row, width)
+        assert {"point", "|e| mm", "state"} <= {column.title for column in found}
+        assert sum(column.width + 1 for column in found) <= width
+        name, *others = found.values()
+        assert row.point.station in others or name.endswith(row.point.station)
 
 
 # -- one point -------------------------------------------------------------------------------------
@@ -260,7 +255,7 @@ def test_of_a_target_measured_again_the_larger_error_counts(
     assert row.norm_mm == pytest.approx(wanted_mm, abs=1e-4)
     assert row.deviation is not None
     assert row.deviation.actual_mm[1] == pytest.approx(301.0 + max(0.4, again_mm))
-    assert f"{wanted_mm:.3f}" in row.to_row((), 80).cells
+    assert f"{wanted_mm:.3f}" in cells(point_columns(), row).values()
     assert Shown.chosen(RunView("r", log), key).deviation == row.deviation
 
 

@@ -11,17 +11,21 @@ from textual.app import App, ComposeResult
 from textual.pilot import Pilot
 
 from hilcell.tui.themes import PALETTES
-from hilcell.tui.widgets import Column, Row, Table
+from hilcell.tui.widgets import Column, Table
 
 pytestmark = pytest.mark.waits
 
 MANY = 10_000
 HEIGHT = 20  # rows in tracker_text, under the header
-COLUMNS = (Column("name", 10), Column("mm", 8, right=True))
+Row = tuple[str, str, str]  # key, name, length
+COLUMNS: tuple[Column[Row], ...] = (
+    Column("name", 10, lambda row: row[1]),
+    Column("mm", 8, lambda row: row[2], right=True),
+)
 
 
 def rows_of(count: int, start: int = 0) -> list[Row]:
-    return [Row(f"k{n}", (f"run {n}", f"{n:.2f}")) for n in range(start, start + count)]
+    return [(f"k{n}", f"run {n}", f"{n:.2f}") for n in range(start, start + count)]
 
 
 class TableApp(App[None]):
@@ -30,7 +34,9 @@ class TableApp(App[None]):
     def __init__(self, *, follow: bool = False, plain: bool = False) -> None:
         super().__init__()
         self.set_class(plain, "plain")
-        self.rows = Table(COLUMNS, empty="nothing here")
+        self.rows: Table[Row] = Table(
+            COLUMNS, lambda row: row[0], empty="nothing here", tone=lambda _: "fault"
+        )
         self.rows.follow = follow
         self.chosen: list[str] = []
         self.moved: list[str] = []
@@ -157,7 +163,7 @@ HOSTILE = [
 @pytest.mark.parametrize("plain", [False, True])
 def test_cells_are_plain_text_and_stay_in_their_columns(plain: bool) -> None:
     async def act(app: TableApp, pilot: Pilot[None]) -> None:
-        app.rows.show_rows([Row(text, (text, "1.25"), "fault") for text in HOSTILE])
+        app.rows.show_rows([(text, text, "1.25") for text in HOSTILE])
         for number in range(len(HOSTILE)):
             line = app.rows.render_line(number + 1)
             assert line.cell_length == app.rows.size.width

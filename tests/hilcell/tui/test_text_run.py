@@ -31,7 +31,7 @@ from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
 from hilcell.tui.text.devices import DeviceText
 from hilcell.tui.text.plots import Measured, tabs_for
-from hilcell.tui.text.points import WIDE, Deviation, PointRows, columns_for
+from hilcell.tui.text.points import WIDE, Deviation, PointRows, point_columns
 from hilcell.tui.text.run import RunText, Shown
 from hilcell.tui.text.side import side_lines
 from tests.hilcell.tui.all_screens import isolated
@@ -44,7 +44,7 @@ from tests.hilcell.tui.sample_runs import (
     status,
     validated,
 )
-from tests.hilcell.tui.views import drawn, view_of
+from tests.hilcell.tui.views import cells, drawn, view_of
 from tests.hilcell.verdicts import BACKLASH, JUDGED, LENGTHS, REVISITED, plain
 
 ANY = st.floats(allow_nan=True, allow_infinity=True)
@@ -767,17 +767,13 @@ def test_a_length_has_three_decimals() -> None:
 
 
 @pytest.mark.parametrize("scale", [1.0, 10.0, 100.0])
-@pytest.mark.parametrize("width", [WIDE, WIDE + 20])
-def test_places_fit_their_columns(width: int, scale: float) -> None:
-    view = view_of("done")
-    columns = columns_for(width)
-    for row in PointRows().rows(view.log):
-        far = (-1506.1234 * scale, -1234.5678 * scale, -1998.7654 * scale)
+def test_places_fit_their_columns(scale: float) -> None:
+    far = (-1506.1234 * scale, -1234.5678 * scale, -1998.7654 * scale)
+    for row in PointRows().rows(view_of("done").log):
+        deviation = row.deviation and replace(row.deviation, actual_mm=far)
         point = msgspec.structs.replace(row.point, nominal_mm=far, xyz_mm=far)
-        found = replace(row, point=point)
-        if row.deviation is not None:
-            found = replace(found, deviation=replace(row.deviation, actual_mm=far))
-        for cell, column in zip(found.to_row((), width).cells, columns, strict=True):
+        found = replace(row, point=point, deviation=deviation)
+        for column, cell in cells(point_columns(), found, WIDE + 20).items():
             assert len(cell) <= column.width, (column.title, cell)
 
 
