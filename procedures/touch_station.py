@@ -25,14 +25,7 @@ from hilcell.calibration.lookup import (
     calibration_named,
     used_calibration,
 )
-from hilcell.calibration.touch import (
-    FrameUpdate,
-    suspected,
-    touch_ids,
-    touch_targets_mm,
-    touched_base,
-    visit_covariance,
-)
+from hilcell.calibration.touch import FrameUpdate, TouchPoses, touch_ids, touch_targets_mm
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.model import ErrorModel
@@ -106,19 +99,16 @@ def _touch(session: CellSession, station: Station, model: ErrorModel) -> None:
                 touch_ids(cell, station, visit), joints_rad, nominal_mm, strict=True
             )
         ]
-    covariance_mm2 = model.predict(poses).covariance_mm2
-    found = touched_base(log, station, points, covariance_mm2)
+    touched, model_mm2 = TouchPoses(log, station, points), model.predict(poses).covariance_mm2
+    found = touched.base(model_mm2)
     # In a later run, without re-visits: 80 undisturbed ones pull <= 2.3 sigmas.
     most_pull = 6.0 if calibration_in(log) is None else 3.5
-    check_agreement(
-        station, found, most_pull, lambda: suspected(log, station, points, covariance_mm2)
-    )
+    check_agreement(station, found, most_pull, lambda: touched.suspicion(model_mm2))
     centre_mm = cell.grid.centre.matrix()[None, :3, 3]
     shift_mm = (apply(found.T, centre_mm) - apply(T_W_B, centre_mm))[0]
-    before = visit_covariance(log, station, points)[:6, :6]
     u_mm = [
         math.sqrt(point_variance_mm2(T_W_B, each, centre_mm[0]))
-        for each in (before, found.covariance)
+        for each in (touched.prior[:6, :6], found.covariance)
     ]
     session.frame(
         f"touch.{station.name}",

@@ -105,6 +105,30 @@ def left_by(
     return chi2 - float(x @ pull), size
 
 
+class Change(msgspec.Struct, frozen=True):
+    """The test closest to its limit, and the cause that explains best what it detected."""
+
+    ratio: float  # of chi^2, or of what a cause explains of it, to its degrees of freedom
+    limit: float
+    suspicion: Suspicion | None
+
+    @property
+    def holds(self) -> bool:
+        return self.ratio <= self.limit
+
+
+class Explained(NamedTuple):
+    """A cause of N differences, and the chi^2 that it leaves of them."""
+
+    suspicion: Suspicion
+    left: float
+    parameters: int
+
+    @property
+    def penalised(self) -> float:
+        return self.left + PENALTY * self.parameters
+
+
 class Differences(msgspec.Struct, frozen=True):
     """Differences (N, 3) in {B} at joints (N, 6), and their covariance (3N, 3N).
 
@@ -120,88 +144,58 @@ class Differences(msgspec.Struct, frozen=True):
     rail: Array
     firsts: Sequence[int]
 
+    def change(self, arm: Arm, noticed_by: str) -> Change:
+        """Judge two visits of the same poses.
 
-class Change(msgspec.Struct, frozen=True):
-    """The test closest to its limit, and the cause that explains best what it detected."""
+        Two tests: whether chance explains all differences together, and whether one cause explains
+        them better than by chance. The second detects a change that each single pose hides.
+        """
+        count, explained = self.difference_mm.size, self._explained(arm, noticed_by)
+        risk = RISK / len(explained)
+        limits = {
+            k: f_quantile(1.0 - risk, k, self.freedom)
+            for k in {each.parameters for each in explained}
+        }
+        tests = [(self._chi2 / count, SPREAD * f_quantile(1.0 - RISK, count, self.freedom))]
+        tests += [((self._chi2 - e.left) / e.parameters, limits[e.parameters]) for e in explained]
+        ratio, limit = max(tests, key=lambda test: test[0] / test[1])
+        holds = ratio <= limit
+        return Change(ratio, limit, None if holds else self._named(arm, explained, noticed_by))
 
-    ratio: float  # of chi^2, or of what a cause explains of it, to its degrees of freedom
-    limit: float
-    suspicion: Suspicion | None
-
-    @property
-    def holds(self) -> bool:
-        return self.ratio <= self.limit
-
-
-def changed(differences: Differences, arm: Arm, noticed_by: str) -> Change:
-    """Judge two visits of the same poses.
-
-    Two tests: whether chance explains all differences together, and whether one cause explains them
-    better than by chance. The second detects a change that each single pose hides.
-    """
-    d = differences.difference_mm.reshape(-1)
-    chi2 = float(d @ np.linalg.solve(differences.covariance_mm2, d))
-    explained = _explained(differences, arm, noticed_by)
-    risk = RISK / len(explained)
-    limits = {
-        k: f_quantile(1.0 - risk, k, differences.freedom)
-        for k in {each.parameters for each in explained}
-    }
-    tests = [(chi2 / len(d), SPREAD * f_quantile(1.0 - RISK, len(d), differences.freedom))]
-    tests += [((chi2 - e.left) / e.parameters, limits[e.parameters]) for e in explained]
-    ratio, limit = max(tests, key=lambda test: test[0] / test[1])
-    if ratio <= limit:
-        return Change(ratio, limit, None)
-    return Change(ratio, limit, _named(differences, arm, explained, noticed_by))
-
-
-def likeliest(differences: Differences, arm: Arm, noticed_by: str) -> Suspicion:
-    """The cause that leaves least, with a penalty for each parameter."""
-    return _named(differences, arm, _explained(differences, arm, noticed_by), noticed_by)
-
-
-def _named(
-    differences: Differences, arm: Arm, explained: list[_Explained], noticed_by: str
-) -> Suspicion:
-    best = min(explained, key=lambda each: each.penalised)
-    if best.suspicion.cause is Cause.MOUNT_SLIPPED:
-        turns = _by_patterns(differences, axis_6_pattern(arm, differences.joints_rad), noticed_by)
-        best = min([best, *turns], key=lambda each: each.penalised)
-    d = differences.difference_mm.reshape(-1)
-    most_left = 0.5  # of chi^2, by a cause that is named
-    if best.left <= most_left * float(d @ np.linalg.solve(differences.covariance_mm2, d)):
-        return best.suspicion
-    rms_mm = float(np.sqrt(np.square(differences.difference_mm).sum(axis=1).mean()))
-    return Suspicion(Cause.UNKNOWN, rms_mm, "mm", noticed_by)
-
-
-class _Explained(NamedTuple):
-    suspicion: Suspicion
-    left: float
-    parameters: int
+    def likeliest(self, arm: Arm, noticed_by: str) -> Suspicion:
+        """The cause that leaves least, with a penalty for each parameter."""
+        return self._named(arm, self._explained(arm, noticed_by), noticed_by)
 
     @property
-    def penalised(self) -> float:
-        return self.left + PENALTY * self.parameters
+    def _chi2(self) -> float:
+        d = self.difference_mm.reshape(-1)
+        return float(d @ np.linalg.solve(self.covariance_mm2, d))
 
+    def _named(self, arm: Arm, explained: list[Explained], noticed_by: str) -> Suspicion:
+        best = min(explained, key=lambda each: each.penalised)
+        if best.suspicion.cause is Cause.MOUNT_SLIPPED:
+            turns = self._by_patterns(axis_6_pattern(arm, self.joints_rad), noticed_by)
+            best = min([best, *turns], key=lambda each: each.penalised)
+        most_left = 0.5  # of chi^2, by a cause that is named
+        if best.left <= most_left * self._chi2:
+            return best.suspicion
+        rms_mm = float(np.sqrt(np.square(self.difference_mm).sum(axis=1).mean()))
+        return Suspicion(Cause.UNKNOWN, rms_mm, "mm", noticed_by)
 
-def _explained(differences: Differences, arm: Arm, noticed_by: str) -> list[_Explained]:
-    causes = patterns(arm, differences.joints_rad)
-    if differences.rail.any():  # a slide at another place along it
-        column = np.tile(differences.rail, len(differences.joints_rad))[:, None]
-        causes = [*causes, Pattern(Cause.STRIP, column, 1.0, "mm")]
-    return _by_patterns(differences, causes, noticed_by)
+    def _explained(self, arm: Arm, noticed_by: str) -> list[Explained]:
+        causes = patterns(arm, self.joints_rad)
+        if self.rail.any():  # a slide at another place along it
+            column = np.tile(self.rail, len(self.joints_rad))[:, None]
+            causes = [*causes, Pattern(Cause.STRIP, column, 1.0, "mm")]
+        return self._by_patterns(causes, noticed_by)
 
-
-def _by_patterns(
-    differences: Differences, causes: Sequence[Pattern], noticed_by: str
-) -> list[_Explained]:
-    explained, weights = [], inverse_covariance(differences.covariance_mm2)
-    for cause, all_columns, factor, unit in causes:
-        for first in differences.firsts:
-            columns = all_columns.copy()
-            columns[3 * first :] = 0.0
-            left, size = left_by(differences.difference_mm, weights, columns)
-            suspicion = Suspicion(cause, factor * size, unit, noticed_by)
-            explained.append(_Explained(suspicion, left, columns.shape[1]))
-    return explained
+    def _by_patterns(self, causes: Sequence[Pattern], noticed_by: str) -> list[Explained]:
+        explained, weights = [], inverse_covariance(self.covariance_mm2)
+        for cause, all_columns, factor, unit in causes:
+            for first in self.firsts:
+                columns = all_columns.copy()
+                columns[3 * first :] = 0.0
+                left, size = left_by(self.difference_mm, weights, columns)
+                suspicion = Suspicion(cause, factor * size, unit, noticed_by)
+                explained.append(Explained(suspicion, left, columns.shape[1]))
+        return explained

@@ -38,8 +38,6 @@ from hilcell.calibration.causes import (
     Change,
     Differences,
     Pattern,
-    changed,
-    likeliest,
     patterns,
     zero_columns,
 )
@@ -498,7 +496,7 @@ class SecondVisits:
 
     def change(self) -> Change:
         names = {REVISIT: "re-visited poses", CLOSING: "vertices re-visited at the end"}
-        return changed(self._differences(), self.log.cell.robot.arm(), names[self.kind])
+        return self._differences().change(self.log.cell.robot.arm(), names[self.kind])
 
     def _differences(self) -> Differences:
         log, now = self.log, self.points
@@ -586,7 +584,7 @@ def uncovered_targets(log: Log) -> list[Suspicion]:
             [len(points)],
         )
         place = f"{validation} at {name}: {coverage.share:.0%} within their bounds"
-        suspicions.append(likeliest(differences, log.cell.robot.arm(), place))
+        suspicions.append(differences.likeliest(log.cell.robot.arm(), place))
     return suspicions
 
 

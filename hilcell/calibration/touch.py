@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilcell.calibration.causes import Differences, likeliest
+from hilcell.calibration.causes import Differences
 from hilcell.calibration.frames import Frames, base_covariance, hold_covariance, world_covariance
 from hilcell.calibration.influence import SIZE
 from hilcell.calibration.lookup import calibration_in
@@ -84,98 +84,109 @@ def touch_ids(cell: Cell, station: Station, visit: int) -> list[PointId]:
     ]
 
 
-def touched_base(
-    log: Log, station: Station, points: list[Point], covariance_mm2: Array
-) -> FrameUpdate:
-    """T_W_B on the visit in which ``points`` were touched.
+@dataclass(frozen=True, eq=False)
+class TouchPoses:
+    """The touch poses of a visit of a station.
 
-    ``covariance_mm2`` (N, 3, 3) in {B}: of the model's predictions there; the robot's repeatability
-    and the tracker's noise are added from the log.
+    Covariances ``model_mm2`` (N, 3, 3) in {B} are of the model's predictions there; the robot's
+    repeatability and the tracker's noise are added from the log.
     """
-    T_W_B = Frames(log.cell, log).base_in_world(station)
-    T_W_L, R = log.matrix("world"), T_W_B[:3, :3]
-    nominal_mm = np.array([point.nominal_mm for point in points])
-    noise_mm2 = np.einsum("ij,njk,lk->nil", R, covariance_mm2, R) + _visit_noise_mm2(log, points)
-    return updated_frame(
-        T_W_B,
-        visit_covariance(log, station, points),
-        apply(inverse(T_W_B), nominal_mm),
-        apply(T_W_L, positions_mm(points)),
-        noise_mm2,
-        log.cell.grid.centre.matrix()[:3, 3],
-    )
 
+    log: Log
+    station: Station
+    points: list[Point]
 
-def suspected(log: Log, station: Station, points: list[Point], covariance_mm2: Array) -> Suspicion:
-    """Why ``points`` contradict the station frame; covariances as in `touched_base`."""
-    T_W_B = Frames(log.cell, log).base_in_world(station)
-    T_B_W, R = inverse(T_W_B), T_W_B[:3, :3]
-    nominal_mm = apply(T_B_W, np.array([point.nominal_mm for point in points]))
-    at_mm = apply(T_B_W @ log.matrix("world"), positions_mm(points))
-    J = motion_levers(nominal_mm)
-    J[:, :, 6] -= log.cell.grid.centre.matrix()[:3, 3]
-    J = np.concatenate([J[:, :, :3] @ R.T, J[:, :, 3:6] @ R.T, J[:, :, 6:]], axis=-1)  # of {W}
-    flat = J.reshape(-1, J.shape[-1])
-    noise_mm2 = covariance_mm2 + R.T @ _visit_noise_mm2(log, points) @ R
-    differences = Differences(
-        at_mm - nominal_mm,
-        flat @ visit_covariance(log, station, points) @ flat.T + block_diagonal(noise_mm2),
-        commanded_rad(points),
-        3.0 * len(points),
-        R.T @ np.array(log.cell.layout.rail_direction),
-        [len(points)],
-    )
-    return likeliest(differences, log.cell.robot.arm(), f"touch poses at {station.name}")
+    def base(self, model_mm2: Array) -> FrameUpdate:
+        """T_W_B on this visit."""
+        T_W_B, R = self._T_W_B, self._T_W_B[:3, :3]
+        noise_mm2 = np.einsum("ij,njk,lk->nil", R, model_mm2, R) + self._noise_mm2
+        return updated_frame(
+            T_W_B,
+            self.prior,
+            apply(inverse(T_W_B), self._nominal_mm),
+            apply(self.log.matrix("world"), positions_mm(self.points)),
+            noise_mm2,
+            self._centre_mm,
+        )
 
+    def suspicion(self, model_mm2: Array) -> Suspicion:
+        """Why the points contradict the station frame."""
+        log, T_B_W, R = self.log, inverse(self._T_W_B), self._T_W_B[:3, :3]
+        nominal_mm = apply(T_B_W, self._nominal_mm)
+        at_mm = apply(T_B_W @ log.matrix("world"), positions_mm(self.points))
+        J = motion_levers(nominal_mm)
+        J[:, :, 6] -= self._centre_mm
+        J = np.concatenate([J[:, :, :3] @ R.T, J[:, :, 3:6] @ R.T, J[:, :, 6:]], axis=-1)  # of {W}
+        flat = J.reshape(-1, J.shape[-1])
+        differences = Differences(
+            at_mm - nominal_mm,
+            flat @ self.prior @ flat.T + block_diagonal(model_mm2 + R.T @ self._noise_mm2 @ R),
+            commanded_rad(self.points),
+            3.0 * len(self.points),
+            R.T @ np.array(log.cell.layout.rail_direction),
+            [len(self.points)],
+        )
+        return differences.likeliest(log.cell.robot.arm(), f"touch poses at {self.station.name}")
 
-def visit_covariance(log: Log, station: Station, points: list[Point]) -> Array:
-    """Covariance (7, 7) of T_W_B on a visit of the station, before it is touched.
+    @property
+    def _T_W_B(self) -> Array:  # noqa: N802 - the frame's symbol
+        return Frames(self.log.cell, self.log).base_in_world(self.station)
 
-    Of the station frame, the strip's slip, and the arm's growth since the grid at the temperature
-    of ``points``: shift of {B}'s origin (mm), rotation vector (rad) about it, axes of {W}; growth
-    of the cube from its centre (ratio). The arm's growth shifts the cube's centre as a shift of the
-    base does, and widens the cube. With an earlier calibration the error of {W} counts twice.
-    """
-    used = calibration_in(log)
-    now_c = [p.temperature_c for p in points if p.temperature_c is not None]
-    then_c = [p.temperature_c for p in log.select("grid") if p.temperature_c is not None]
-    if used is not None and used.validity.temperature_c is not None:
-        then_c = list(used.validity.temperature_c)
-    warmer_k = float(np.mean(now_c) - np.mean(then_c)) if now_c and then_c else 0.0
-    growth = log.cell.uncertainty.arm_growth_um_m_k * 1e-6 * warmer_k
-    R = Frames(log.cell, log).base_in_world(station)[:3, :3]
-    outwards = np.append(R @ log.cell.grid.centre.matrix()[:3, 3], [0.0, 0.0, 0.0, 1.0])
-    known = rectangular_variance(growth) * np.outer(outwards, outwards)
-    known[:6, :6] += base_covariance(log, station)
-    holds = 2  # the strip's slip is that of the visit less that of the stop when it was framed
-    known[:3, :3] += holds * hold_covariance(log.cell)
-    if used is None:
+    @property
+    def _nominal_mm(self) -> Array:
+        return np.array([point.nominal_mm for point in self.points])
+
+    @property
+    def _centre_mm(self) -> Array:
+        return self.log.cell.grid.centre.matrix()[:3, 3]
+
+    @property
+    def prior(self) -> Array:
+        """Covariance (7, 7) of T_W_B on the visit, before it is touched.
+
+        Of the station frame, the strip's slip, and the arm's growth since the grid at the
+        temperature of the points: shift of {B}'s origin (mm), rotation vector (rad) about it, axes
+        of {W}; growth of the cube from its centre (ratio). The arm's growth shifts the cube's
+        centre as a shift of the base does, and widens the cube. With an earlier calibration the
+        error of {W} counts twice.
+        """
+        log, used, T_W_B = self.log, calibration_in(self.log), self._T_W_B
+        now_c = [p.temperature_c for p in self.points if p.temperature_c is not None]
+        then_c = [p.temperature_c for p in log.select("grid") if p.temperature_c is not None]
+        if used is not None and used.validity.temperature_c is not None:
+            then_c = list(used.validity.temperature_c)
+        warmer_k = float(np.mean(now_c) - np.mean(then_c)) if now_c and then_c else 0.0
+        growth = log.cell.uncertainty.arm_growth_um_m_k * 1e-6 * warmer_k
+        outwards = np.append(T_W_B[:3, :3] @ self._centre_mm, [0.0, 0.0, 0.0, 1.0])
+        known = rectangular_variance(growth) * np.outer(outwards, outwards)
+        known[:6, :6] += base_covariance(log, self.station)
+        holds = 2  # the strip's slip is that of the visit less that of the stop when it was framed
+        known[:3, :3] += holds * hold_covariance(log.cell)
+        if used is None:
+            return known
+        centring_mm2 = rectangular_variance(log.cell.uncertainty.smr_centring_limit_mm)
+        set_ups = 2  # of the tracker: the calibration's and this run's
+        known[:6, :6] += set_ups * world_covariance(log, T_W_B[:3, 3], centring_mm2)
         return known
-    centring_mm2 = rectangular_variance(log.cell.uncertainty.smr_centring_limit_mm)
-    at_mm = Frames(log.cell, log).base_in_world(station)[:3, 3]
-    set_ups = 2  # of the tracker: the calibration's and this run's
-    known[:6, :6] += set_ups * world_covariance(log, at_mm, centring_mm2)
-    return known
 
+    @property
+    def _noise_mm2(self) -> Array:
+        """Covariances (N, 3, 3) in {W} of single visits, with the readings' noise.
 
-def _visit_noise_mm2(log: Log, points: list[Point]) -> Array:
-    """Covariances (N, 3, 3) in {W} of single visits, with the readings' noise.
-
-    From the visits of the repeatability's places; else from the readings, and from the robot's
-    repeatability where an earlier calibration states it.
-    """
-    clouds_mm = visits_mm(log)
-    if clouds_mm:
-        return np.tile(pooled_std_mm(clouds_mm) ** 2 * np.eye(3), (len(points), 1, 1))
-    R = log.matrix("world")[:3, :3]
-    noise_mm2 = covariances_mm2(points, R)
-    used = calibration_in(log)
-    if used is not None and used.uncertainty is not None:
-        at_mm = np.array([point.nominal_mm for point in points])
-        for line in used.uncertainty.lines:
-            if line.per_visit and line.frame == "base":
-                noise_mm2 = noise_mm2 + line.at(log.matrix("base"), at_mm)
-    return noise_mm2
+        From the visits of the repeatability's places; else from the readings, and from the robot's
+        repeatability where an earlier calibration states it.
+        """
+        clouds_mm = visits_mm(self.log)
+        if clouds_mm:
+            return np.tile(pooled_std_mm(clouds_mm) ** 2 * np.eye(3), (len(self.points), 1, 1))
+        R = self.log.matrix("world")[:3, :3]
+        noise_mm2 = covariances_mm2(self.points, R)
+        used = calibration_in(self.log)
+        if used is not None and used.uncertainty is not None:
+            for line in used.uncertainty.lines:
+                if line.per_visit and line.frame == "base":
+                    noise_mm2 = noise_mm2 + line.at(self.log.matrix("base"), self._nominal_mm)
+        return noise_mm2
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from hilcell.calibration.frames import Frames
 from hilcell.calibration.grid import grid_of, measured_errors
-from hilcell.calibration.touch import beside_nest, touch_targets_mm, visit_covariance
+from hilcell.calibration.touch import TouchPoses, beside_nest, touch_targets_mm
 from hilcell.cell.file import Cell, Station, load_cell
 from hilcell.compensation.model_choice import MODELS
 from hilcell.geometry.frames import apply, from_rotvec, matrix
@@ -290,7 +290,7 @@ def test_what_moved_the_slide_or_grew_the_arm_is_named() -> None:
 def test_the_covariance_of_the_base() -> None:
     bench: Any = Visits()
     log = bench.log
-    slip, far = visit_covariance(log, HERE, []), visit_covariance(log, FAR, [])
+    slip, far = TouchPoses(log, HERE, []).prior, TouchPoses(log, FAR, []).prior
     assert np.linalg.matrix_rank(slip) == 1
     assert slip[1, 1] == pytest.approx(2 * 0.02**2 / 3)
     assert (np.linalg.eigvalsh(far[:6, :6]) > 0).all()
@@ -299,7 +299,7 @@ def test_the_covariance_of_the_base() -> None:
     touch_base(bench, FAR, model_of(log))
     after = log.frames["touch.S300"].C
     assert np.trace(after[:3, :3]) < np.trace(far[:3, :3])
-    np.testing.assert_array_equal(visit_covariance(log, FAR, []), far)
+    np.testing.assert_array_equal(TouchPoses(log, FAR, []).prior, far)
 
 
 @pytest.mark.parametrize(("poses", "least_mm", "most_mm"), [("0", 0.05, 0.1), ("20", 0.0, 0.012)])
@@ -320,7 +320,7 @@ def test_growth_may_move_the_cube_outwards() -> None:
     bench: Any = Visits()
     log = bench.log
     warm = [msgspec.structs.replace(p, temperature_c=23.0) for p in log.select("grid")[:2]]
-    grown = visit_covariance(log, HERE, warm) - visit_covariance(log, HERE, [])
+    grown = TouchPoses(log, HERE, warm).prior - TouchPoses(log, HERE, []).prior
     assert np.linalg.matrix_rank(grown) == 1
     outwards_mm = BASE[:3, :3] @ CELL.grid.centre.matrix()[:3, 3]
     sigma_mm = 23e-6 * 3.0 * np.linalg.norm(outwards_mm) / np.sqrt(3.0)

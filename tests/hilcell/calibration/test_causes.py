@@ -10,7 +10,7 @@ import math
 import numpy as np
 import pytest
 
-from hilcell.calibration.causes import Differences, changed
+from hilcell.calibration.causes import Differences
 from hilcell.cell.file import load_cell
 from hilcell.errors import DeviceError
 from hilcell.geometry.kinematics import forward
@@ -54,7 +54,7 @@ def grown(seed: int, share: float) -> Array:
 
 @pytest.mark.parametrize("seeds", [50, *sweep(500)])
 def test_chance_is_no_change(seeds: int) -> None:
-    found = [changed(measured(seed, np.zeros((COUNT, 3))), ARM, "x") for seed in range(seeds)]
+    found = [measured(seed, np.zeros((COUNT, 3))).change(ARM, "x") for seed in range(seeds)]
     assert sum(not each.holds for each in found) <= max(1, seeds // 100)
     assert all((each.suspicion is None) == each.holds for each in found)
 
@@ -75,7 +75,7 @@ def test_a_cause_is_named_with_its_size(cause: str, unit: str, size: float, move
     for seed in range(10):
         assert callable(moved)
         first = 3 if seed % 2 else COUNT
-        found = changed(measured(seed, moved(seed), first), ARM, "re-visits")
+        found = measured(seed, moved(seed), first).change(ARM, "re-visits")
         assert not found.holds
         assert found.suspicion is not None
         assert found.suspicion.noticed_by == "re-visits"
@@ -106,7 +106,7 @@ def test_a_lost_zero_of_axis_6_is_no_slip_of_the_mount(
         moved_mm += poses[:, :3, :3] @ slip_mm + SIGMA_MM * rng.standard_normal((COUNT, 3))
         covariance = SIGMA_MM**2 * np.eye(3 * COUNT)
         found = Differences(moved_mm, covariance, at_rad, FREEDOM, RAIL, [COUNT])
-        suspicion = changed(found, ARM, "re-visits").suspicion
+        suspicion = found.change(ARM, "re-visits").suspicion
         assert suspicion is not None
         assert suspicion.cause == cause
         assert ("axis 6" in suspicion.unit) == (cause == "zero lost")
@@ -117,7 +117,7 @@ def test_scatter_that_no_cause_explains_names_none() -> None:
     unknown = 0
     for seed in range(20):
         scatter_mm = 0.5 * np.random.default_rng([seed, 2]).standard_normal((COUNT, 3))
-        found = changed(measured(seed, scatter_mm), ARM, "re-visits")
+        found = measured(seed, scatter_mm).change(ARM, "re-visits")
         assert found.suspicion is not None
         unknown += found.suspicion.cause == "unknown"
     assert unknown >= 14, unknown
@@ -128,13 +128,13 @@ def test_wider_scatter_is_found_by_all_differences_together() -> None:
     found = []
     for seed in range(40):
         scatter_mm = 2.0 * SIGMA_MM * np.random.default_rng([seed, 3]).standard_normal((COUNT, 3))
-        found.append(changed(measured(seed, scatter_mm), ARM, "re-visits"))
+        found.append(measured(seed, scatter_mm).change(ARM, "re-visits"))
     assert sum(not each.holds for each in found) >= 28
 
 
 def test_not_a_number_does_not_hold() -> None:
     nowhere = np.full((COUNT, 3), np.nan)
-    assert not changed(measured(0, nowhere), ARM, "x").holds
+    assert not measured(0, nowhere).change(ARM, "x").holds
 
 
 STRIP = Suspicion(Cause.STRIP, 1.0, "mm", "slide nest at S300")
