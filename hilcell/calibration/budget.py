@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import msgspec
 import numpy as np
@@ -390,26 +391,6 @@ def cube_bounds(calibration: Calibration, station: str) -> Bounds:
     return target_bounds(calibration, station, calibration.base(station) @ poses)
 
 
-def validated(calibration: Calibration, log: Log, station: str) -> Coverage | None:
-    found = validated_bounds(calibration, log, station)
-    return None if found is None else Coverage(found[0].norms_mm, found[1].radii_mm)
-
-
-def validated_bounds(
-    calibration: Calibration, log: Log, station: str
-) -> tuple[Errors, Bounds] | None:
-    """Errors of `validation_points`, and the contributions; raises `NoBound`."""
-    points = validation_points(log, station)
-    if not points:
-        return None
-    found = position_errors(log, points)
-    T_W_B = calibration.base(station)
-    in_base_mm = (found.nominal_mm - T_W_B[:3, 3]) @ T_W_B[:3, :3]
-    lines = lines_in_validation(calibration, log, station, points)
-    poses = driven_poses(calibration, log, points, in_base_mm)
-    return found, _bounds(calibration, station, T_W_B @ poses, lines)
-
-
 def lines_in_validation(
     calibration: Calibration, log: Log, station: str, points: list[Point]
 ) -> list[Influence]:
@@ -430,8 +411,46 @@ def driven_poses(
     return matrix(R, places_mm)
 
 
-def validation_points(log: Log, station: str) -> list[Point]:
-    return targets(log, station, Sent.CHOSEN)
+def _bounds(
+    calibration: Calibration, station: str, poses: Array, lines: Sequence[Influence]
+) -> Bounds:
+    T_W_B = calibration.base(station)
+    model_mm2 = calibration.error_model().predict(inverse(T_W_B) @ poses).covariance_mm2
+    samples = calibration.budget.model_samples
+    return combined_bounds(model_mm2, lines, T_W_B, poses, samples)
+
+
+@dataclass(frozen=True, eq=False)
+class ValidatedTargets:
+    """Corrected targets measured by a run's validation at a station; their bounds by a
+    calibration.
+    """
+
+    calibration: Calibration
+    log: Log
+    station: str
+
+    @cached_property
+    def points(self) -> list[Point]:
+        return targets(self.log, self.station, Sent.CHOSEN)
+
+    @cached_property
+    def errors(self) -> Errors:
+        return position_errors(self.log, self.points)
+
+    @cached_property
+    def bounds(self) -> Bounds:
+        """Raises `NoBound`."""
+        T_W_B = self.calibration.base(self.station)
+        in_base_mm = (self.errors.nominal_mm - T_W_B[:3, 3]) @ T_W_B[:3, :3]
+        lines = lines_in_validation(self.calibration, self.log, self.station, self.points)
+        poses = driven_poses(self.calibration, self.log, self.points, in_base_mm)
+        return _bounds(self.calibration, self.station, T_W_B @ poses, lines)
+
+    @property
+    def coverage(self) -> Coverage | None:
+        """None where no target was measured; raises `NoBound`."""
+        return Coverage(self.errors.norms_mm, self.bounds.radii_mm) if self.points else None
 
 
 def coverages(
@@ -439,7 +458,7 @@ def coverages(
 ) -> dict[str, Coverage]:
     """Coverage by place, as far as measured; raises `NoBound`."""
     names = {name for stations in places.values() for name in stations}
-    single = {name: validated(calibration, log, name) for name in names}
+    single = {name: ValidatedTargets(calibration, log, name).coverage for name in names}
     found = {}
     for place, stations in places.items():
         parts = [part for name in stations if (part := single[name]) is not None]
@@ -449,12 +468,3 @@ def coverages(
                 np.concatenate([part.bounds_mm for part in parts]),
             )
     return found
-
-
-def _bounds(
-    calibration: Calibration, station: str, poses: Array, lines: Sequence[Influence]
-) -> Bounds:
-    T_W_B = calibration.base(station)
-    model_mm2 = calibration.error_model().predict(inverse(T_W_B) @ poses).covariance_mm2
-    samples = calibration.budget.model_samples
-    return combined_bounds(model_mm2, lines, T_W_B, poses, samples)

@@ -29,7 +29,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from msgspec.structs import replace
 
-from hilcell.calibration.budget import growth_since, validated, validated_bounds, validation_points
+from hilcell.calibration.budget import ValidatedTargets, growth_since
 from hilcell.calibration.causes import (
     LARGE_AXES,
     PENALTY,
@@ -68,7 +68,6 @@ from hilcell.geometry.statistics import (
     bounds95_mm,
     chance_of_at_most,
     chi2_quantile,
-    effective_freedom,
     f_quantile,
     lengths_mm,
     rectangular_variance,
@@ -563,8 +562,9 @@ def uncovered_targets(log: Log) -> list[Suspicion]:
     suspicions = []
     validation = "validation"
     for name in (station.name for station in log.cell.station):
+        validated = ValidatedTargets(calibration, log, name)
         try:
-            coverage = validated(calibration, log, name)
+            coverage = validated.coverage
         except NoBound:  # the report states why
             return []
         if coverage is None:
@@ -572,11 +572,11 @@ def uncovered_targets(log: Log) -> list[Suspicion]:
         # Of few targets some lie outside by chance: the same risk as of the re-visits.
         if chance_of_at_most(coverage.inside, len(coverage), least) > RISK:
             continue
-        points = validation_points(log, name)
+        points = validated.points
         R = calibration.base(name)[:3, :3]
         sigmas_mm = np.repeat(coverage.bounds_mm / bounds95_mm(np.eye(3)[None])[0], 3)
         differences = Differences(
-            position_errors(log, points).error_mm @ R,
+            validated.errors.error_mm @ R,
             np.diag(np.square(sigmas_mm)),
             commanded_rad(points),
             float(len(points)),
@@ -609,21 +609,18 @@ class TargetDeviations(NamedTuple):
             return None
         parts, arm = [], log.cell.robot.arm()
         for name in (station.name for station in log.cell.station):
+            validated = ValidatedTargets(calibration, log, name)
+            if len(validated.points) < 2:
+                continue
             try:
-                validation = validated_bounds(calibration, log, name)
+                bounds, error_mm = validated.bounds, validated.errors.error_mm
             except NoBound:  # the report states why
                 return None
-            if validation is None or len(validation[0]) < 2:
-                continue
-            errors, bounds = validation
             R = calibration.base(name)[:3, :3]
-            joints_rad = commanded_rad(validation_points(log, name))
-            J = zero_columns(arm, joints_rad)
-            covariance_mm2 = bounds.covariance_mm2
-            traces = [np.trace(each.covariance_mm2, axis1=1, axis2=2) for each in bounds.parts]
-            freedom = effective_freedom(traces, [each.freedom for each in bounds.parts])
-            off_mm = errors.error_mm - errors.error_mm.mean(axis=0)
-            parts.append(cls(off_mm, covariance_mm2, R @ J[:, :, :LARGE_AXES], freedom.min()))
+            J = zero_columns(arm, commanded_rad(validated.points))
+            off_mm, freedom = error_mm - error_mm.mean(axis=0), float(bounds.freedom.min())
+            columns = R @ J[:, :, :LARGE_AXES]
+            parts.append(cls(off_mm, bounds.covariance_mm2, columns, freedom))
         if not parts:
             return None
         offs_mm, covariances_mm2, columns, freedoms = zip(*parts, strict=True)

@@ -149,11 +149,15 @@ class Bounds:
         return np.asarray(np.sum([part.covariance_mm2 for part in self.parts], axis=0))
 
     @property
+    def freedom(self) -> Array:
+        """Effective degrees of freedom (N,)."""
+        traces = [np.trace(part.covariance_mm2, axis1=1, axis2=2) for part in self.parts]
+        return effective_freedom(traces, [part.freedom for part in self.parts])
+
+    @property
     def radii_mm(self) -> Array:
         """95 % bounds (N,) of 3D errors."""
-        traces = [np.trace(part.covariance_mm2, axis1=1, axis2=2) for part in self.parts]
-        freedom = effective_freedom(traces, [part.freedom for part in self.parts])
-        return bounds95_mm(self.covariance_mm2, freedom)
+        return bounds95_mm(self.covariance_mm2, self.freedom)
 
 
 def combined_bounds(

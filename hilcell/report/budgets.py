@@ -13,13 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hilcell.calibration.budget import (
-    Coverage,
-    coverages,
-    cube_bounds,
-    validated,
-    validation_points,
-)
+from hilcell.calibration.budget import Coverage, ValidatedTargets, coverages, cube_bounds
 from hilcell.calibration.from_run import calibration_so_far
 from hilcell.calibration.influence import ASSUMED, MEASURED, Bounds, NoBound, Part
 from hilcell.calibration.lookup import calibration_in
@@ -87,9 +81,10 @@ def target_budget(log: Log, run: str) -> TargetBudget:
         in_use = {name: cube_bounds(calibration, name) for name in names}
         coverage = coverages(calibration, log, places(log.cell))
         for name in names:
-            if (judged := validated(calibration, log, name)) is not None:
-                keys = [point.key for point in validation_points(log, name)]
-                points_mm |= dict(zip(keys, judged.bounds_mm.tolist(), strict=True))
+            validated = ValidatedTargets(calibration, log, name)
+            if validated.points:
+                keys = [point.key for point in validated.points]
+                points_mm |= dict(zip(keys, validated.bounds.radii_mm.tolist(), strict=True))
     except NoBound as reason:
         return TargetBudget(reason.reason)
     return TargetBudget("", in_use, coverage, points_mm)

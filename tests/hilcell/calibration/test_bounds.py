@@ -13,11 +13,11 @@ import pytest
 from hilcell.calibration.budget import (
     TEMPERATURE,
     Coverage,
+    ValidatedTargets,
     coverages,
     cube_bounds,
     target_bounds,
     temperature,
-    validated,
 )
 from hilcell.calibration.file import Calibration
 from hilcell.calibration.influence import ASSUMED, MEASURED, MODEL, Influence, motion
@@ -119,13 +119,13 @@ def validation_run(folder: Path) -> Writer:
 
 def test_validated_errors_against_their_bounds(tmp_path: Path) -> None:
     log = validation_run(tmp_path / "run").facts().log
-    found = validated(calibration(), log, "S1100")
+    found = ValidatedTargets(calibration(), log, "S1100").coverage
     assert found is not None
     np.testing.assert_allclose(found.errors_mm, ERRORS_MM)
     assert found.inside == 1
     both = coverages(calibration(), log, {"S1100": ["S1100"], "all": ["S300", "S1100"]})
     assert {place: each.inside for place, each in both.items()} == {"S1100": 1, "all": 1}
-    assert validated(calibration(), log, "S300") is None
+    assert ValidatedTargets(calibration(), log, "S300").coverage is None
 
 
 def test_limits_that_are_common_to_the_grid_do_not_widen_the_validation(tmp_path: Path) -> None:
@@ -137,7 +137,7 @@ def test_limits_that_are_common_to_the_grid_do_not_widen_the_validation(tmp_path
         for each in made.uncertainty.lines
         if each.applies == "in use"
     ]
-    found = validated(changed(lines=limits), log, "S1100")
+    found = ValidatedTargets(changed(lines=limits), log, "S1100").coverage
     assert found is not None
     assert found.inside == 1
 
@@ -148,7 +148,7 @@ def test_touch_poses_take_the_place_of_station_frame_and_strip(tmp_path: Path) -
     covariance = np.diag([1e-6] * 3 + [1e-14] * 3)
     touched.frame("touch.S1100", covariance=covariance, poses=8, visit=1)
     found = [
-        validated(changed(stations={"S1100": [strip]}), writer.facts().log, "S1100")
+        ValidatedTargets(changed(stations={"S1100": [strip]}), writer.facts().log, "S1100").coverage
         for writer in (untouched, touched)
     ]
     assert [None if each is None else each.inside for each in found] == [2, 1]
