@@ -25,12 +25,7 @@ KNOWN = (
     ".xhtml", ".xlsm", ".xlsb", ".tsv", ".jsonl", ".png", ".jpg", ".jpeg", ".svg", ".db",
     ".script",
 )  # fmt: skip
-STORAGE = (
-    errno.ENOSPC,
-    errno.EDQUOT,
-    errno.EFBIG,
-    errno.EIO,
-)  # of the disk, not the name
+STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # of the disk, not the name
 
 
 class NotWritten(HilcellError):

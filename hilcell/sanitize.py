@@ -24,19 +24,9 @@ def clean(text: str) -> str:
 
 def harmless(text: str) -> str:
     """Return ``text`` with every invisible character replaced by a visible one."""
-    invisible = (
-        "Cc",
-        "Cf",
-        "Cs",
-        "Co",
-        "Cn",
-        "Zl",
-        "Zp",
-    )  # controls, formats, surrogates, separators
-    return "".join(
-        REPLACEMENT if unicodedata.category(character) in invisible else character
-        for character in text
-    )
+    invisible = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")  # controls, formats, separators ..
+    category = unicodedata.category
+    return "".join(REPLACEMENT if category(each) in invisible else each for each in text)
 
 
 def harmless_lines(text: str) -> str:

@@ -74,12 +74,8 @@ Body: TypeAlias = Json | msgspec.Struct  # of a record to be written
 FORM = 2
 READ_BACK = 500  # records between two checks of the written file
 SYNCHRONOUS = "FULL"  # an append returns once its record is on the disk
-NOT_FOUND_ERRNOS = (
-    errno.ENOENT,
-    errno.ENOTDIR,
-    errno.ELOOP,
-    errno.ENAMETOOLONG,
-)  # other errors hide a file
+# Other errors hide a file.
+NOT_FOUND_ERRNOS = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG)
 MAX_JOURNAL_BYTES = 2**28  # bytes of a journal; one of a thousand points has some 2**23
 MAX_RECORD_BYTES = 2**25  # bytes
 MAX_STEPS = 2 * 10**8  # of SQLite's virtual machine, some 15 a record: bounds a hostile file
@@ -464,10 +460,8 @@ def _reader(path: Path) -> sqlite3.Connection:
         base.execute("PRAGMA schema_version")
     except sqlite3.DatabaseError as error:
         rest = _wal(path)
-        unwritable = error.sqlite_errorcode & 0xFF in (
-            sqlite3.SQLITE_READONLY,
-            sqlite3.SQLITE_CANTOPEN,
-        )
+        code = error.sqlite_errorcode & 0xFF
+        unwritable = code in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN)
         if unwritable and not (rest.exists() and rest.stat().st_size):
             base.close()
             base = sqlite3.connect(f"{where}&immutable=1", uri=True, isolation_level=None)

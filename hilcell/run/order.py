@@ -153,7 +153,7 @@ class Resume(Signature):
         from hilcell.errors import HilcellError
         from hilcell.journal.runs import CALIBRATION
         from hilcell.journal.runs_folder import command_on
-        from hilcell.run.run_plan import NONE, Changes, ResumedRun, changed_inputs, check_attended
+        from hilcell.run.run_plan import Changes, ResumedRun, changed_inputs, check_attended
         from hilcell.run.states import retake_refusal
 
         retakes = [key for key in self.retake if key not in log.retakes]
@@ -168,7 +168,7 @@ class Resume(Signature):
         attendance = self.attendance
         procedure: Procedure = load_entry("procedures", log.inputs.procedure)
         check_attended(log.cell, procedure, unattended=attendance.unattended)
-        changes = NONE
+        changes = Changes()
         if continues:
             try:
                 check_options(log.cell)

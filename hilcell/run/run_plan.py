@@ -45,9 +45,6 @@ class Changes:
             )
 
 
-NONE = Changes()
-
-
 @dataclass(frozen=True, kw_only=True)
 class RunPlan:
     """A run in its folder; ``points`` is the planned number, ``changes`` are those of a resume."""
@@ -56,7 +53,7 @@ class RunPlan:
     cell: Cell
     procedure: Procedure
     points: int
-    changes: Changes = NONE
+    changes: Changes = Changes()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,7 @@ from hilcell.ports import NoReading
 from hilcell.run.cell_session import CellSession
 from hilcell.run.order import Attendance
 from hilcell.run.procedure import Procedure
-from hilcell.run.run_plan import NONE, Changes, RunPlan
+from hilcell.run.run_plan import Changes, RunPlan
 from hilcell.run.runner import Runner
 from tests.hilcell.run.rig import (
     DeskClock,
@@ -31,6 +31,7 @@ from tests.hilcell.run.rig import (
     procedure,
 )
 
+NO_CHANGES = Changes()
 QUICK = {"settle.robot_s": "0.0", "settle.rail_s": "0.0", "plan.unattended_wait_s": "0"}
 CELL = load_cell("paper", QUICK)
 PLAN = {
@@ -80,7 +81,7 @@ class Bed:
         if fresh:
             self.journal.append("plan", "", PLAN)
 
-    def runner(self, what: Procedure, changes: Changes = NONE) -> Runner:
+    def runner(self, what: Procedure, changes: Changes = NO_CHANGES) -> Runner:
         self.open_journal()
         self.clock.stop = threading.Event()
         folder = self.path.parent
@@ -93,7 +94,7 @@ class Bed:
             stop=self.clock.stop,
         )
 
-    def run(self, what: Procedure, changes: Changes = NONE) -> int:
+    def run(self, what: Procedure, changes: Changes = NO_CHANGES) -> int:
         code = self.runner(what, changes).run()
         self.journal.close()
         return code
