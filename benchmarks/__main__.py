@@ -15,8 +15,7 @@ from pathlib import Path
 
 from benchmarks.words import parser
 from hilcell.journal.journal import Journal
-
-HILCELL = [sys.executable, "-m", "hilcell"]
+from tests.whole.bench import HILCELL
 
 
 def seconds(act: Callable[[], object], runs: int) -> float:

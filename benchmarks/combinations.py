@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import sys
 import tempfile
 import time
 from contextlib import suppress
@@ -21,8 +20,8 @@ from itertools import product
 from pathlib import Path
 
 from benchmarks.words import parser
+from tests.whole.bench import HILCELL
 
-HILCELL = [sys.executable, "-m", "hilcell"]
 CELL_OF = {"ur-rtde": "lab"}  # others: paper
 RIDDEN = "kuka-e1"
 COARSE = {  # tolerances and numbers of samples that fit the instrument (docs/hardware.md)

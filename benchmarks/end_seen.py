@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import multiprocessing
 import subprocess
-import sys
 import tempfile
 import time
 from datetime import datetime
@@ -19,9 +18,9 @@ from benchmarks.words import parser
 from hilcell.journal.journal import read_journal
 from hilcell.journal.runs import JOURNAL
 from hilcell.tui.text.run import STATES
+from tests.whole.bench import HILCELL
 from tests.whole.terminal import Terminal
 
-HILCELL = [sys.executable, "-m", "hilcell"]
 ENDS = tuple(STATES[state][0] for state in ("done", "intolerant", "aborted", "fault"))
 AFTER_S = 20.0  # how long the screen is read after its engine's end
 

@@ -25,7 +25,6 @@ import msgspec
 import numpy as np
 from sqlalchemy import Connection, select, text
 
-from benchmarks.__main__ import HILCELL, command
 from benchmarks.words import parser
 from hilcell.journal.calibration_facts import CalibrationFacts
 from hilcell.journal.index import RunRow
@@ -37,7 +36,7 @@ from hilcell.plant.shipper import ship
 from hilcell.plant.tables import POINT, RUN
 from tests.hilcell.plant.server import MISSING, server
 from tests.hilcell.plant.year import Model, Run
-from tests.whole.bench import SMALL, sets
+from tests.whole.bench import SMALL, hilcell, sets
 
 SIZES = (2_000, 20_000, 200_000)
 RUNS_PER_CELL = 1000
@@ -175,7 +174,7 @@ def answers(url: str, runs: int) -> None:
 def shipping(url: str, folder: Path) -> None:
     """Print how many points arrive a second."""
     words = ("run", "--runs", str(folder / "model"), "--name", "small", *sets(SMALL))
-    command(*HILCELL, *words)()
+    hilcell(*words).check_returncode()
     model = Model(folder / "model" / "small", whole=True)
     for n in range(SHIPPED):
         began = datetime.now(UTC) - timedelta(days=10 * n + 1)

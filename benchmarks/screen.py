@@ -17,21 +17,22 @@ from pathlib import Path
 from benchmarks.words import parser
 from hilcell.journal.journal import Journal
 from hilcell.journal.runs import JOURNAL
-from hilcell.model.events import AlarmsAcknowledged
 from hilcell.run.control import Control, Status
+from tests.hilcell.run.test_control import Recorder
 from tests.hilcell.tui.sample_runs import RUN, sample_run, status
+from tests.whole.bench import HILCELL
 from tests.whole.terminal import Terminal
 
-HILCELL = [sys.executable, "-m", "hilcell"]
 PAGES = {"run": "", "plots": "p", "log": "l", "interlocks": "i", "alarms": "e", "help": "?",
          "history": "h", "history, in the filter": "h/", "points, in the filter": "/",
          "abort?": "a", "palette": "\x10"}  # fmt: skip
 
 
-class StandIn:
+class StandIn(Recorder):
     """An engine that only listens, and knows when it was asked to stop."""
 
     def __init__(self, state: str) -> None:
+        super().__init__()
         self.stopped = threading.Event()
         self.stopped_s = 0.0
         self._status = status(state)
@@ -39,24 +40,6 @@ class StandIn:
     def stop(self) -> None:
         self.stopped_s = time.monotonic()
         self.stopped.set()
-
-    def post(self, command: str) -> None:
-        pass
-
-    def proceed_refusal(self, since: int) -> str:
-        return ""
-
-    def answer(self) -> str:
-        return ""
-
-    def retake(self, key: str) -> str:
-        return ""
-
-    def acknowledge(self, made: AlarmsAcknowledged) -> str:
-        return ""
-
-    def watched(self, by: int) -> int:
-        return 1
 
     def status(self) -> Status:
         return self._status

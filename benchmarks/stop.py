@@ -18,8 +18,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import closing, contextmanager, suppress
 from itertools import count
 from pathlib import Path
 from typing import Any, cast
@@ -120,31 +120,43 @@ def engine() -> None:
 
 
 def cycle(cell: Cell, simulated: SimulatedCell, place: Place, folder: Path, phase: str) -> int:
+    with (
+        running(cell, simulated, place.addresses, folder, Phase(phase)) as runner,
+        closing(Control(folder, runner)),
+    ):
+        return runner.run()
+
+
+@contextmanager
+def running(
+    cell: Cell,
+    simulated: SimulatedCell,
+    addresses: Mapping[str, Any],
+    folder: Path,
+    step: Any,
+    *,
+    unattended: bool = False,
+) -> Iterator[Runner]:
+    """Yield the runner of a procedure of one step, whose journal is in a folder."""
     stop = threading.Event()
     clock = simulated.clock(stop)
-    journal = RunJournal(folder / JOURNAL, folder.name, create=True)
-    journal.append("plan", "", msgspec.to_builtins(plan_of(cell, phase)))
-    procedure = Procedure(phase, "", (Phase(phase),), lambda result: Table((), ()))
-    runner = Runner(
-        RunPlan(folder=folder, cell=cell, procedure=procedure, points=0),
-        Attendance(),
-        journal,
-        devices=build_devices(cell, place.addresses, clock),
-        clock=clock,
-        stop=stop,
-    )
-    control = Control(folder, runner)
-    try:
-        return runner.run()
-    finally:
-        control.close()
-        journal.close()
+    with closing(RunJournal(folder / JOURNAL, folder.name, create=True)) as journal:
+        journal.append("plan", "", msgspec.to_builtins(plan_of(cell, step.name)))
+        procedure = Procedure(step.name, "", (step,), lambda result: Table((), ()))
+        yield Runner(
+            RunPlan(folder=folder, cell=cell, procedure=procedure, points=0),
+            Attendance(unattended=unattended),
+            journal,
+            devices=build_devices(cell, addresses, clock),
+            clock=clock,
+            stop=stop,
+        )
 
 
-def plan_of(cell: Cell, phase: str) -> PlanRecord:
+def plan_of(cell: Cell, name: str) -> PlanRecord:
     """Return what a run begins with."""
     return PlanRecord(
-        procedure=phase,
+        procedure=name,
         cell=msgspec.to_builtins(cell),
         digest=cell.digest,
         seed=1,
@@ -157,7 +169,7 @@ def plan_of(cell: Cell, phase: str) -> PlanRecord:
         simulated=True,
         versions={},
         settings={},
-        steps=[PlannedStep(Phase.name, 0, 0.0)],
+        steps=[PlannedStep(name, 0, 0.0)],
         points=0,
         duration_s=0.0,
     )

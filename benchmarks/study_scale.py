@@ -12,8 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -25,6 +24,7 @@ from hilcell.study.cluster import scheduler_workers
 from hilcell.study.results import Results
 from hilcell.study.runner import run_study
 from hilcell.study.study_file import read_study, study_cell
+from tests.whole.dask_bench import scheduler, worker
 
 REAL = 60
 STUDY = """
@@ -59,23 +59,6 @@ def empty(cell: bytes, machine: int, seed: int, wanted: Mapping[str, str]) -> di
     return {"state": "done", "reason": "", "minutes": 20.0} | figures | {"targets": 50.0}
 
 
-@contextmanager
-def dask(*words: str, ready: str) -> Iterator[tuple[str, int]]:
-    """Run a command of Dask; yield its line with ``ready`` and its process."""
-    with subprocess.Popen(
-        [sys.executable, "-m", "dask", *words, "--no-dashboard"],
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"OMP_NUM_THREADS": "1"},
-    ) as process:
-        assert process.stderr is not None
-        try:
-            yield next(line for line in process.stderr if ready in line), process.pid
-        finally:
-            process.terminate()
-            process.stderr.read()
-
-
 def peak_mib(pid: int) -> float:
     """Return the largest memory that a process ever had."""
     status = Path(f"/proc/{pid}/status").read_text("ascii")
@@ -95,28 +78,26 @@ def many_cases() -> None:
         path.write_text(STUDY)
         study = read_study(path)
         results = Results(Path(name) / "results", study)
-        start = ("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-show")
-        with dask(*start, ready="Scheduler at:") as (line, scheduler):
-            address = line.split()[-1]
-            work = ("worker", address, "--no-nanny", "--nthreads", "1")
-            with (
-                dask(*work, ready="Registered to") as (_, one),
-                dask(*work, ready="Registered to") as (_, two),
-                scheduler_workers(address, print) as workers,
-                results.held(),
-            ):
-                processes = {"client": os.getpid(), "scheduler": scheduler, "worker": one}
-                before_s = {each: processor_s(pid) for each, pid in processes.items()}
-                began_s = time.perf_counter()
-                counts = run_study(results, workers, lambda _: None)
-                took_s = time.perf_counter() - began_s
-                spent_s = {each: processor_s(pid) for each, pid in processes.items()}
-                assert counts == {"done": study.most_cases}
-                print(f"{study.most_cases} empty cases, two workers: {took_s:.0f} s of wall time")
-                for each, pid in processes.items():
-                    ms = 1e3 * (spent_s[each] - before_s[each]) / study.most_cases
-                    print(f"{each:10} {peak_mib(pid):5.0f} MiB at most, {ms:5.2f} ms a case")
-                assert peak_mib(two) < 2048.0
+        with (
+            scheduler() as (address, serving),
+            worker(address) as one,
+            worker(address) as two,
+            scheduler_workers(address, print) as workers,
+            results.held(),
+        ):
+            processes = {"client": os.getpid()}
+            processes |= {"scheduler": serving.process.pid, "worker": one.process.pid}
+            before_s = {each: processor_s(pid) for each, pid in processes.items()}
+            began_s = time.perf_counter()
+            counts = run_study(results, workers, lambda _: None)
+            took_s = time.perf_counter() - began_s
+            spent_s = {each: processor_s(pid) for each, pid in processes.items()}
+            assert counts == {"done": study.most_cases}
+            print(f"{study.most_cases} empty cases, two workers: {took_s:.0f} s of wall time")
+            for each, pid in processes.items():
+                ms = 1e3 * (spent_s[each] - before_s[each]) / study.most_cases
+                print(f"{each:10} {peak_mib(pid):5.0f} MiB at most, {ms:5.2f} ms a case")
+            assert peak_mib(two.process.pid) < 2048.0
         began_s = time.process_time()
         answers(study, results.rows())
         print(f"answers    {peak_mib(os.getpid()):5.0f} MiB at most,", end=" ")

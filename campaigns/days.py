@@ -12,31 +12,24 @@ import math
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 
-from benchmarks.stop import plan_of
+from benchmarks.stop import running
 from campaigns.spread import print_table
 from hilcell.calibration.grid import grid_of
-from hilcell.cell.devices import build_devices, start_simulation
+from hilcell.cell.devices import start_simulation
 from hilcell.cell.file import Cell, load_cell
 from hilcell.geometry.frames import matrix
-from hilcell.journal.log import Log, RunJournal
-from hilcell.journal.runs import JOURNAL
+from hilcell.journal.log import Log
 from hilcell.model.plan import PlannedStep
 from hilcell.model.point import PointId
-from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.order import Attendance
-from hilcell.run.procedure import Procedure
-from hilcell.run.run_plan import RunPlan
-from hilcell.run.runner import Runner
 
 COUNT = 5000
 DAYS = 30.0
@@ -58,7 +51,7 @@ class Usage(NamedTuple):
 class Month:
     """A part that measures vertices, again and again."""
 
-    name = "phase"
+    name = "month"
     needs = moves = measures = yields = ""
 
     def __init__(self, points: int) -> None:
@@ -99,25 +92,14 @@ def engine(points: int) -> int:
     cell = load_cell("paper")
     simulated = start_simulation(cell, seed=1, speed=math.inf)
     assert simulated is not None
-    stop = threading.Event()
-    clock = simulated.clock(stop)
-    with tempfile.TemporaryDirectory(prefix="days-") as folder:
-        journal = RunJournal(Path(folder, JOURNAL), "month", create=True)
-        journal.append("plan", "", msgspec.to_builtins(plan_of(cell, "month")))
-        month = Procedure("month", "", (Month(points),), lambda result: Table((), ()))
-        runner = Runner(
-            RunPlan(folder=Path(folder), cell=cell, procedure=month, points=points),
-            Attendance(unattended=True),
-            journal,
-            devices=build_devices(cell, simulated.options, clock),
-            clock=clock,
-            stop=stop,
-        )
-        try:
-            return runner.run()
-        finally:
-            journal.close()
-            simulated.close()
+    with (
+        closing(simulated),
+        tempfile.TemporaryDirectory(prefix="days-") as folder,
+        running(
+            cell, simulated, simulated.options, Path(folder), Month(points), unattended=True
+        ) as runner,
+    ):
+        return runner.run()
 
 
 def campaign(points: range) -> int:

@@ -12,6 +12,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -175,16 +176,21 @@ def at_record(record: int, whole: Sequence[Event]) -> Case:
     return judged(f"record {record}", *SHORT, 1, whole, [record], iter([0.0]))
 
 
+@contextmanager
+def machine(settings: dict[str, str], seed: int) -> Iterator[tuple[str, list[str]]]:
+    """Yield a folder of runs, and the words of a run on a machine that outlives its engines."""
+    with (
+        closing(PaperCell(load_cell("paper", settings), seed=seed)) as simulated,
+        tempfile.TemporaryDirectory(prefix="kills-") as runs,
+    ):
+        values = settings | {"simulation.address": simulated.address}
+        yield runs, ["--seed", str(seed), *sets(values)]
+
+
 def uninterrupted(procedure: str, settings: dict[str, str], seed: int) -> list[Event]:
     """Return the events of a run that nobody kills."""
-    simulated = PaperCell(load_cell("paper", settings), seed=seed)
-    try:
-        with tempfile.TemporaryDirectory(prefix="kills-") as runs:
-            words = sets(settings | {"simulation.address": simulated.address})
-            seeded = ("--seed", str(seed), "--runs", runs, "--json")
-            return events(command("run", procedure, *seeded, *words).stdout)
-    finally:
-        simulated.close()
+    with machine(settings, seed) as (runs, words):
+        return events(command("run", procedure, *words, "--runs", runs, "--json").stdout)
 
 
 def judged(
@@ -197,17 +203,12 @@ def judged(
     later_s: Iterator[float],
 ) -> Case:
     """Kill a run at moments and compare it with the whole one."""
-    simulated = PaperCell(load_cell("paper", settings), seed=seed)
     try:
-        with tempfile.TemporaryDirectory(prefix="kills-") as runs:
-            words = sets(settings | {"simulation.address": simulated.address})
-            start = (procedure, "--seed", str(seed), *words)
-            found = killed(Path(runs), start, moments, later_s=later_s)
-            return Case(name, found.kills, len(points_of(found.journal)), problems(found, whole))
+        with machine(settings, seed) as (runs, words):
+            found = killed(Path(runs), (procedure, *words), moments, later_s=later_s)
     except AssertionError as error:
         return Case(name, 0, 0, [f"a resumed engine ended: {error}"])
-    finally:
-        simulated.close()
+    return Case(name, found.kills, len(points_of(found.journal)), problems(found, whole))
 
 
 def campaign(seeds: range) -> int:

@@ -19,6 +19,7 @@ import can
 import canopen
 import msgspec
 
+from benchmarks.screen import StandIn
 from campaigns.fuzz.wire_parsers import WIRE_PARSERS
 from drivers.canopen import sdo
 from drivers.canopen.can_link import CanLink
@@ -39,7 +40,7 @@ from hilcell.errors import HilcellError
 from hilcell.journal.journal import Journal, StorageError, _record, read_journal
 from hilcell.journal.log import Log
 from hilcell.programs.holes import read_holes
-from hilcell.run.control import Status, _Handler
+from hilcell.run.control import _Handler
 from hilcell.sanitize import clean
 from hilcell.tui.keys import ACTIONS
 from hilcell.tui.layout import Lines
@@ -52,7 +53,7 @@ from hilcell.tui.text.devices import DeviceText
 from hilcell.tui.text.run import RunText
 from tests.drivers.kuka.program_krl.samples import DAT, SRC
 from tests.hilcell.calibration.calibrations import calibration as made_calibration
-from tests.hilcell.tui.sample_runs import fresh, status
+from tests.hilcell.tui.sample_runs import fresh
 from tests.hilcell.tui.untrusted_text import NASTY, dangerous, poison
 
 CONTEXT = AlarmContext(None, {action.name: action.keys for action in ACTIONS}, UNICODE)
@@ -286,29 +287,9 @@ def holes_samples() -> Iterable[bytes]:
 # -- sockets and the screen -----------------------------------------------------------------------
 
 
-class _Engine:
-    """Takes every command."""
-
-    def stop(self) -> None: ...
-
-    def post(self, command: str) -> None: ...
-
-    def answer(self) -> str:
-        return ""
-
-    def retake(self, key: str) -> str:
-        return key
-
-    def watched(self, by: int) -> int:
-        return 0
-
-    def status(self) -> Status:
-        return status("running")
-
-
 def control(data: bytes) -> None:
     handler = object.__new__(_Handler)
-    handler.server = cast("Any", SimpleNamespace(engine=_Engine()))
+    handler.server = cast("Any", SimpleNamespace(engine=StandIn("running")))
     handler.attends = False
     for line in data.split(b"\n"):
         msgspec.json.encode(handler._answer(line[: handler.LONGEST_REQUEST]))
