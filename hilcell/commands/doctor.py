@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from importlib.metadata import Distribution, requires
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -115,10 +116,16 @@ def terminal(environment: Mapping[str, str], columns: int, rows: int) -> Finding
 
 def can(interfaces: Path = Path("/sys/class/net")) -> Finding:
     """Check the CAN interfaces, which only SocketCAN needs."""
+
+    def read(path: Path) -> str:
+        with suppress(OSError):
+            return path.read_text("ascii").strip()
+        return ""
+
     found = {
-        each.name: _first_line(each / "operstate")
+        each.name: read(each / "operstate")
         for each in sorted(interfaces.glob("*"))
-        if _first_line(each / "type") == "280"  # ARPHRD_CAN of linux/if_arp.h
+        if read(each / "type") == "280"  # ARPHRD_CAN of linux/if_arp.h
     }
     if not found:
         return Finding(
@@ -147,11 +154,9 @@ def loopback() -> Finding:
             port = server.getsockname()[1]
             socket.create_connection(("127.0.0.1", port), timeout=1.0).close()
     except OSError as error:
-        return Finding(
-            "wrong",
-            f"127.0.0.1 cannot be used: {error.strerror or error}",
-            "allow connections to 127.0.0.1 (sudo ip link set lo up; the firewall)",
-        )
+        found = f"127.0.0.1 cannot be used: {error.strerror or error}"
+        advice = "allow connections to 127.0.0.1 (sudo ip link set lo up; the firewall)"
+        return Finding("wrong", found, advice)
     return Finding("ok", "127.0.0.1 can be used")
 
 
@@ -164,22 +169,17 @@ def disk(runs: Path, mounts: Path = Path("/proc/self/mounts")) -> Finding:
             os.fsync(file.fileno())
         free = bytes_free(folder)
     except OSError as error:
-        return Finding(
-            "wrong",
-            f"{where} cannot be written: {error.strerror}",
-            "choose another folder with --runs",
-        )
+        found = f"{where} cannot be written: {error.strerror}"
+        return Finding("wrong", found, "choose another folder with --runs")
     found = f"{where}, {free / 1e9:.2f} GB free"
     longest_points = 1_700  # of all runs of the built-in cells
     if free < (needed := bytes_needed(longest_points)):
         return Finding("wrong", found, f"free {needed / 1e6:.0f} MB, which a run needs")
     shared = {"nfs", "nfs4", "cifs", "smb3", "smbfs", "fuse.sshfs", "9p"}  # no locks for SQLite
     if (kind := _file_system(folder, mounts)) in shared:
-        return Finding(
-            "wrong",
-            f"{found}, on a network file system ({kind})",
-            "choose a folder on a local disk with --runs: journals need its locks",
-        )
+        found += f", on a network file system ({kind})"
+        advice = "choose a folder on a local disk with --runs: journals need its locks"
+        return Finding("wrong", found, advice)
     if free < PLENTY_GB * 1e9:
         return Finding("warning", found, f"free {PLENTY_GB:g} GB for later runs")
     return Finding("ok", found)
@@ -204,20 +204,16 @@ def clock(runs: Path) -> Finding:
     newest_s = max((each.stat().st_mtime for each in runs.glob("*")), default=0.0)
     if newest_s > now_s + 60.0:
         return Finding("wrong", f"{found}, earlier than the newest run", "set the clock")
-    if not _is_synchronized():
+    # The kernel's answer is from adjtimex(2) with modes 0, which sets nothing.
+    timex = ctypes.create_string_buffer(512)  # larger than struct timex
+    unsynchronized = 5  # TIME_ERROR
+    if int(ctypes.CDLL(None).adjtimex(timex)) in {-1, unsynchronized}:
         return Finding(
             "warning",
             f"{found}, not synchronized",
             "sudo timedatectl set-ntp true, or set it by hand: calibrations expire by this clock",
         )
     return Finding("ok", f"{found}, synchronized")
-
-
-def _is_synchronized() -> bool:
-    """Whether the kernel's clock is synchronized (adjtimex(2) with modes 0, which sets nothing)."""
-    timex = ctypes.create_string_buffer(512)  # larger than struct timex
-    unsynchronized = 5  # TIME_ERROR
-    return int(ctypes.CDLL(None).adjtimex(timex)) not in {-1, unsynchronized}
 
 
 def locks() -> Finding:
@@ -251,18 +247,8 @@ def browser() -> Finding:
     try:
         return Finding("ok", f"{find_browser()} prints reports as PDF")
     except NotWritten:
-        return Finding(
-            "warning",
-            "none; reports are HTML only",
-            "install chromium for `hilcell report -o FILE.pdf`",
-        )
-
-
-def _first_line(path: Path) -> str:
-    try:
-        return path.read_text("ascii").strip()
-    except OSError:
-        return ""
+        advice = "install chromium for `hilcell report -o FILE.pdf`"
+        return Finding("warning", "none; reports are HTML only", advice)
 
 
 def _keys() -> Finding:
@@ -319,29 +305,21 @@ def _place(place: str) -> Finding:
         return Finding("ok", "not checked: its driver has no option host, port or channel")
     host, sign, port = place.rpartition(":")
     if sign and port.isdecimal():
-        return _network("127.0.0.1" if host == THIS_MACHINE else host, int(port))
+        address = "127.0.0.1" if host == THIS_MACHINE else host, int(port)
+        try:
+            socket.create_connection(address, timeout=2.0).close()
+        except OSError as error:
+            found = f"no connection: {error.strerror or error}"
+            return Finding(
+                "wrong", found, "switch the device on; check its cable, address and port"
+            )
+        return Finding("ok", "accepts connections")
     if place.startswith("/"):
-        return _file(Path(place))
+        if not Path(place).exists():
+            return Finding("wrong", "no such port", "plug in the adapter, or correct the channel")
+        if not os.access(place, os.R_OK | os.W_OK):
+            return Finding("wrong", "no permission to open", DIALOUT)
+        return Finding("ok", "can be opened")
     if Path("/sys/class/net", place).exists():
         return Finding("ok", "the interface exists")
     return Finding("wrong", "no such interface", "correct the channel; `ip link` lists interfaces")
-
-
-def _network(address: str, port: int) -> Finding:
-    try:
-        socket.create_connection((address, port), timeout=2.0).close()
-    except OSError as error:
-        return Finding(
-            "wrong",
-            f"no connection: {error.strerror or error}",
-            "switch the device on; check its cable, address and port",
-        )
-    return Finding("ok", "accepts connections")
-
-
-def _file(port: Path) -> Finding:
-    if not port.exists():
-        return Finding("wrong", "no such port", "plug in the adapter, or correct the channel")
-    if not os.access(port, os.R_OK | os.W_OK):
-        return Finding("wrong", "no permission to open", DIALOUT)
-    return Finding("ok", "can be opened")

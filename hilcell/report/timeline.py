@@ -140,7 +140,7 @@ class _Timeline:
             case StepBegun(name=name):
                 words = step_label(name, has_rail=self.facts.cell.has_rail)
             case PosesChosen():
-                words = f"poses chosen: {self._chosen_poses_words(self.facts, event)}"
+                words = f"poses chosen: {self._chosen_poses(event)}"
             case _:
                 words = event_label(event, self.facts.log).replace("urad", "µrad")
         return f"{words[:1].upper()}{words[1:]}."
@@ -162,9 +162,8 @@ class _Timeline:
         how = "Engine lost without notice (killed, or power lost)"
         return f"{how} {since}, while the run was {log.state}."
 
-    @staticmethod
-    def _chosen_poses_words(facts: Facts, chosen: PosesChosen) -> str:
-        plan, count, bounds_mm = facts.cell.plan, len(chosen.joints_deg), chosen.bounds_mm
+    def _chosen_poses(self, chosen: PosesChosen) -> str:
+        plan, count, bounds_mm = self.facts.cell.plan, len(chosen.joints_deg), chosen.bounds_mm
         if not bounds_mm:
             return "none"
         progress = f"{bounds_mm[0]:.3f} mm"
@@ -196,9 +195,8 @@ def timeline(facts: Facts) -> Table:
         Column("event", attrgetter("text")),
     )
     lines = _dated(_Timeline(facts).lines(), facts)
-    return Table(
-        columns, lines, "Timeline of the run", note, lambda row: "stop" if row.stop else ""
-    )
+    title = "Timeline of the run"
+    return Table(columns, lines, title, note, lambda row: "stop" if row.stop else "")
 
 
 def _dated(lines: Sequence[Line], facts: Facts) -> Iterator[Line]:

@@ -97,10 +97,10 @@ class _Plan:
 
     def _rail(self) -> Iterator[str]:
         across = self._across()
-        yield self._polygon(self._rail_corners(), f'fill="#eef3f8" stroke="{MUTED}"')
+        yield self._area(self._rail_corners(), MUTED, "#eef3f8")
         for station in self._cell.station:
             at = self._cell.layout.nominal_base(station.rail_mm)[:2, 3]
-            yield self._line(at - across, at + across, f'stroke="{INK}"')
+            yield self._line(at - across, at + across)
             bold = station.name == self._cell.grid.station
             x, y = self._at(at)
             if bold:
@@ -113,16 +113,13 @@ class _Plan:
         for station in self._cell.station:
             corners_mm = self._volume_mm(station)
             own = station.name == self._cell.grid.station
-            dash = "" if own else ' stroke-dasharray="1.2 0.8"'
-            fill = BAND if own else "none"
-            style = f'fill="{fill}" fill-opacity="0.6" stroke="{AFTER}"{dash}'
-            yield self._polygon(corners_mm, style)
+            yield self._area(corners_mm, AFTER, *((f"{BAND}99",) if own else ("none", "1.2 0.8")))
             right = max(self._at(corner)[0] for corner in corners_mm)
             top = min(self._at(corner)[1] for corner in corners_mm)
             y = top + 2.0 if own else self._at(corners_mm.mean(axis=0))[1] + 0.9
             yield self._name(station, right, y, AFTER, own)
-        middle_mm, style = self._volume_mm(self._cell.reference).mean(axis=0), f'stroke="{MUTED}"'
-        yield self._line(self._tracker_mm, middle_mm, f'{style} stroke-dasharray="0.5 0.8"')
+        middle_mm = self._volume_mm(self._cell.reference).mean(axis=0)
+        yield self._line(self._tracker_mm, middle_mm, colour=MUTED, dash="0.5 0.8")
 
     def _name(self, station: Station, right: float, y: float, colour: str, bold: bool) -> str:
         """Return a station's name, as wide as there is room to the next volume or the tracker."""
@@ -145,33 +142,27 @@ class _Plan:
         origin = self._floor[0][1]
         for axis, direction in (("x", (1.0, 0.0)), ("y", (0.0, 1.0))):
             end = origin + np.array(direction) * 5.5 / self._scale
-            yield self._line(origin, end, f'stroke="{INK}" stroke-width="0.4"')
+            yield self._line(origin, end, wide=0.4)
             x, y = self._at(end)
             yield text(x + 0.5, y + 2.6 * (axis == "x"), axis)
 
     def _tracker(self) -> Iterator[str]:
         x, y = self._at(self._tracker_mm)
-        yield (
-            f'<path d="M{x:.2f} {y - 1.8:.2f}l1.7 3h-3.4z" fill="#fff" stroke="{INK}" '
-            'stroke-width="0.4"/>'
-        )
+        top, right, left = (x, y - 1.8), (x + 1.7, y + 1.2), (x - 1.7, y + 1.2)
+        yield path([top, right, left, top], INK, 0.4, fill="#fff")
         yield text(x, y - 2.6, "tracker", "middle", bold=True)
 
     def _bar(self) -> Iterator[str]:
         y, begin = self._height - 1.5, self.WIDTH_MM - self.MARGIN_MM - 1000.0 * self._scale
-        yield (
-            f'<path d="M{begin:.2f} {y:.2f}H{self.WIDTH_MM - self.MARGIN_MM:.2f}" stroke="{INK}" '
-            'stroke-width="0.6"/>'
-        )
+        yield path([(begin, y), (self.WIDTH_MM - self.MARGIN_MM, y)], INK, 0.6)
         yield text(begin - 1.0, y + 0.9, "1 m", "end")
 
-    def _polygon(self, corners_mm: Array, style: str) -> str:
-        points = " ".join(f"{x:.2f},{y:.2f}" for x, y in map(self._at, corners_mm))
-        return f'<polygon points="{points}" {style}/>'
+    def _line(self, *places_mm: Array, colour: str = INK, wide: float = 0.3, dash: str = "") -> str:
+        return path([self._at(each) for each in places_mm], colour, wide, dash)
 
-    def _line(self, begin_mm: Array, end_mm: Array, style: str) -> str:
-        (x1, y1), (x2, y2) = self._at(begin_mm), self._at(end_mm)
-        return f'<path d="M{x1:.2f} {y1:.2f}L{x2:.2f} {y2:.2f}" fill="none" {style}/>'
+    def _area(self, corners_mm: Array, colour: str, fill: str, dash: str = "") -> str:
+        corners = [self._at(each) for each in (*corners_mm, corners_mm[0])]
+        return path(corners, colour, dash=dash, fill=fill)
 
 
 def side_view(cell: Cell, tracker_mm: Array, simulated: bool) -> str:
