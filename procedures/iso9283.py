@@ -10,14 +10,7 @@ from itertools import product
 
 import numpy as np
 
-from hilcell.calibration.iso9283 import (
-    CYCLE,
-    Pose,
-    PoseTest,
-    commanded_mm,
-    evaluated,
-    velocity_percent,
-)
+from hilcell.calibration.iso9283 import CYCLE, Pose, PoseTest, commanded_mm, velocity_percent
 from hilcell.calibration.lookup import calibration_in, calibration_named
 from hilcell.cell.file import Cell
 from hilcell.compensation.correction import corrected_poses
@@ -113,11 +106,11 @@ class PoseCycle:
                 straight=StraightApproach(joints_rad[n - 1], percent),
             )  # fmt: skip
         session.close_step(carried=True)
-        if (judged := evaluated(session.log).judgement()) is not None:
+        if (judged := PoseTest.of(session.log).judgement()) is not None:
             session.judge(ISO, judged)
 
     def result(self, log: Log) -> Result:
-        return {ISO: evaluated(log)}
+        return {ISO: PoseTest.of(log)}
 
     @staticmethod
     def words(result: Result) -> str:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import msgspec
 import numpy as np
@@ -78,6 +78,12 @@ class Cube(msgspec.Struct, frozen=True):
     centre_mm: list[float]
     plane: str
 
+    @classmethod
+    def largest(cls, cell: Cell) -> Self:
+        """Largest cube in the grid's volume, edges parallel to the base (6.8.2)."""
+        centre_mm = cell.grid.centre.matrix()[:3, 3].tolist()
+        return cls(min(cell.grid.size_mm), centre_mm, "-".join(PLANE))
+
 
 class Pose(msgspec.Struct, frozen=True):
     """AP and RP of one pose. AP: barycentre of the attained positions less the commanded one."""
@@ -95,6 +101,39 @@ class Pose(msgspec.Struct, frozen=True):
     l_mean_mm: float
     s_l_mm: float
 
+    @classmethod
+    def of(cls, at: Errors, commanded_mm: Array, shared_mm2: Array, noise_mm2: float) -> Self:
+        """AP and RP of positions attained at one commanded position (7.2.1, 7.2.2).
+
+        All attainments share the covariance ``shared_mm2`` (3, 3). ``noise_mm2``: the trace of the
+        measurement's covariance: mean squares subtract, distances keep the shape of their
+        distribution. U of RP_l = mean + 3 S is the scatter of both, taken as independent.
+        """
+        attained_mm = at.nominal_mm + at.error_mm
+        count, scatter_mm2 = len(attained_mm), np.cov(attained_mm.T)
+        ap_mm = attained_mm.mean(axis=0) - at.nominal_mm[0]
+        ap_p_mm = float(np.linalg.norm(ap_mm))
+        along = ap_mm / ap_p_mm if ap_p_mm > 0.0 else np.eye(3)[0]
+        known_mm2 = scatter_mm2 / count + shared_mm2
+        l_mm = from_mean_mm(attained_mm)
+        rp_mm, s_l_mm = repeatability_mm(l_mm), float(l_mm.std(ddof=1))
+        whole_mm2 = float(np.trace(scatter_mm2))
+        of_robot = 1.0 - noise_mm2 / whole_mm2 if whole_mm2 > noise_mm2 else 0.0
+        return cls(
+            commanded_mm.tolist(),
+            count,
+            ap_p_mm,
+            float(ap_mm[0]),
+            float(ap_mm[1]),
+            float(ap_mm[2]),
+            expanded_mm(math.sqrt(float(along @ known_mm2 @ along))),
+            rp_mm,
+            expanded_mm(s_l_mm * math.sqrt(1.0 / count + 9.0 / (2.0 * (count - 1)))),
+            rp_mm * math.sqrt(of_robot),
+            float(l_mm.mean()),
+            s_l_mm,
+        )
+
 
 class Distance(msgspec.Struct, frozen=True):
     """AD and RD of one distance; AD_x, AD_y, AD_z: of the distances along each axis."""
@@ -109,6 +148,28 @@ class Distance(msgspec.Struct, frozen=True):
     ad_u95_mm: float
     rd_mm: float
     rd_u95_mm: float
+
+    @classmethod
+    def of(cls, ends: tuple[Errors, Errors], shared_mm: float) -> Self:
+        """AD and RD = +-3 S (7.3.2, 7.3.3); ``shared_mm``: u besides the scatter."""
+        one, other = ends
+        ways_mm = (one.nominal_mm + one.error_mm) - (other.nominal_mm + other.error_mm)
+        commanded_mm = one.nominal_mm[0] - other.nominal_mm[0]
+        lengths_mm = np.linalg.norm(ways_mm, axis=1)
+        length_mm, count = float(np.linalg.norm(commanded_mm)), len(ways_mm)
+        along_mm = np.abs(ways_mm).mean(axis=0) - np.abs(commanded_mm)
+        s_d_mm = float(lengths_mm.std(ddof=1))
+        return cls(
+            *ENDS,
+            length_mm,
+            float(lengths_mm.mean()) - length_mm,
+            float(along_mm[0]),
+            float(along_mm[1]),
+            float(along_mm[2]),
+            expanded_mm(math.hypot(s_d_mm / math.sqrt(count), shared_mm)),
+            3.0 * s_d_mm,
+            expanded_mm(3.0 * s_d_mm / math.sqrt(2.0 * (count - 1))),
+        )
 
 
 class WorstPoses(msgspec.Struct, frozen=True):
@@ -131,7 +192,28 @@ class Angles(msgspec.Struct, frozen=True, omit_defaults=True):
     ap_deg: dict[str, float] = {}
     ap_u95_deg: dict[str, float] = {}
 
-    def of(self, characteristic: Characteristic) -> tuple[dict[str, float], dict[str, float]]:
+    @classmethod
+    def of(cls, turns_rad: Array, shared_rad2: Array | None) -> Self:
+        """AP (7.2.1) and RP = +-3 S (7.2.2) of rotation vectors (n, 3), axes of the base.
+
+        The angles of a robot's small errors are the vector's coordinates. ``shared_rad2`` (3, 3):
+        common covariance of all attainments; None: AP is unknown.
+        """
+        s_rad, count = turns_rad.std(axis=0, ddof=1), len(turns_rad)
+        rp_rad = 3.0 * s_rad
+        rp_u_rad = rp_rad / math.sqrt(2.0 * (count - 1))
+        rp = cls._by_angle(rp_rad), cls._by_angle(2.0 * rp_u_rad)
+        if shared_rad2 is None:
+            return cls(count, *rp)
+        u_rad = np.sqrt(s_rad**2 / count + np.diag(shared_rad2))
+        ap_rad = turns_rad.mean(axis=0)
+        return cls(count, *rp, cls._by_angle(ap_rad), cls._by_angle(2.0 * u_rad))
+
+    @staticmethod
+    def _by_angle(values_rad: Array) -> dict[str, float]:
+        return dict(zip(ANGLES, np.degrees(values_rad).tolist(), strict=True))
+
+    def figures(self, characteristic: Characteristic) -> tuple[dict[str, float], dict[str, float]]:
         if characteristic is AP_ANGLES:
             return self.ap_deg, self.ap_u95_deg
         return self.rp_deg, self.rp_u95_deg
@@ -158,6 +240,55 @@ class PoseTest(msgspec.Struct, frozen=True, kw_only=True):
     deviations: list[str]
     limits: dict[str, float]
 
+    @classmethod
+    def of(cls, log: Log) -> Self:
+        cell, clouds = log.cell, attained_positions(log)
+        used, celsius = calibration_in(log), log.temperatures_c()
+        table, corrected_by = cell.iso9283, "" if used is None else used.provenance.latest
+        own = _Evaluation(log)
+        poses = {
+            name: Pose.of(
+                at,
+                commanded_mm(cell)[name],
+                own.shared_mm2(commanded_mm(cell)[name], corrected=bool(corrected_by)),
+                float(variances_mm2(own.visits()[name]).sum(axis=1).mean()),
+            )
+            for name, at in clouds.items()
+        }
+        at_ap = max(poses, key=lambda name: poses[name].ap_mm)
+        at_rp = max(poses, key=lambda name: poses[name].rp_mm)
+        ap, rp, orientation = poses[at_ap], poses[at_rp], own.orientation()
+        limits = {of.limit: getattr(table, of.limit) for of in CHARACTERISTICS}
+        return cls(
+            cycles=table.cycles,
+            velocity_percent=velocity_percent(cell),
+            load_kg=table.load_kg,
+            rated_load_kg=table.rated_load_kg,
+            warm_up_min=table.warm_up_min,
+            stabilisation_s=cell.settle.robot_s,
+            temperature_c=(min(celsius), max(celsius)) if celsius else None,
+            tracker_noise_mm=rms([point.std_mm for point in log.select(ISO)]),
+            corrected_by=corrected_by,
+            cube=Cube.largest(cell),
+            poses=poses,
+            distance=Distance.of(
+                (clouds[ENDS[0]], clouds[ENDS[1]]), math.sqrt(2.0) * own.system_mm(framed=False)
+            ),
+            worst=WorstPoses(ap.ap_mm, ap.ap_u95_mm, at_ap, rp.rp_mm, rp.rp_u95_mm, at_rp),
+            orientation=orientation,
+            not_measured=[
+                f"{of.key.upper()}_{angle}"
+                for of in (AP_ANGLES, RP_ANGLES)
+                for angle in ANGLES
+                if worst_angle(orientation, of) is None
+            ],
+            deviations=[
+                *_deviations(cell, corrected=bool(corrected_by), orientation=orientation),
+                *interruptions(log),
+            ],
+            limits={name: limit for name, limit in limits.items() if limit is not None},
+        )
+
     def figures(self) -> list[Worst]:
         worst, distance = self.worst, self.distance
         ends = f"{distance.start} to {distance.to}"
@@ -176,7 +307,7 @@ class PoseTest(msgspec.Struct, frozen=True, kw_only=True):
         at, angles = self.poses[pose], self.orientation.get(pose)
         figures = {AP: [(at.ap_mm, at.ap_u95_mm)], RP: [(at.rp_mm, at.rp_u95_mm)]}
         for of in (AP_ANGLES, RP_ANGLES):
-            values, u95_deg = ({}, {}) if angles is None else angles.of(of)
+            values, u95_deg = ({}, {}) if angles is None else angles.figures(of)
             figures[of] = [(abs(value), u95_deg[angle]) for angle, value in values.items()]
         return all(
             bool(each) and all(value + U <= self.limits[of.limit] for value, U in each)
@@ -207,11 +338,11 @@ def worst_angle(
     orientation: Mapping[str, Angles], of: Characteristic
 ) -> tuple[str, str, float, float] | None:
     """Symbol, pose, value and U (deg) where value + U is largest, if measured."""
-    angles = [
-        (f"{of.key.upper()}_{angle}", pose, abs(value), u95_deg[angle])
-        for pose, (values, u95_deg) in ((pose, each.of(of)) for pose, each in orientation.items())
-        for angle, value in values.items()
-    ]
+    angles = []
+    for pose, each in orientation.items():
+        values, u95_deg = each.figures(of)
+        for angle, value in values.items():
+            angles.append((f"{of.key.upper()}_{angle}", pose, abs(value), u95_deg[angle]))
     return max(angles, key=lambda each: np.nan_to_num(each[2] + each[3], nan=np.inf), default=None)
 
 
@@ -227,15 +358,9 @@ CYCLE = ("P5", "P4", "P3", "P2", "P1")  # from P1 (table 7)
 ENDS = ("P2", "P4")  # of the distance: on one diagonal
 
 
-def largest_cube(cell: Cell) -> Cube:
-    """Largest cube in the grid's volume, edges parallel to the base (6.8.2)."""
-    centre_mm = cell.grid.centre.matrix()[:3, 3].tolist()
-    return Cube(min(cell.grid.size_mm), centre_mm, "-".join(PLANE))
-
-
 def commanded_mm(cell: Cell) -> dict[str, Array]:
     """P1, the cube's centre, and P2 to P5 on diagonals of the plane, (3,) in {B} (6.8.5)."""
-    cube = largest_cube(cell)
+    cube = Cube.largest(cell)
     share_of_diagonal = 0.1  # that test poses keep off the cube's corners: (10 +- 2) % (6.8.5)
     reach_mm = (1.0 - 2.0 * share_of_diagonal) * cube.side_mm / 2.0
     centre_mm = np.array(cube.centre_mm)
@@ -250,90 +375,10 @@ def velocity_percent(cell: Cell) -> float:
     return cell.robot.speed_percent if stated is None else stated
 
 
-# -- the characteristics (7.2, 7.3) ----------------------------------------------------------------
-
-
-def pose_characteristics(
-    at: Errors, commanded_mm: Array, shared_mm2: Array, noise_mm2: float
-) -> Pose:
-    """AP and RP of positions attained at one commanded position (7.2.1, 7.2.2).
-
-    All attainments share the covariance ``shared_mm2`` (3, 3). ``noise_mm2``: the trace of the
-    measurement's covariance: mean squares subtract, distances keep the shape of their distribution.
-    U of RP_l = mean + 3 S is the scatter of both, taken as independent.
-    """
-    attained_mm = at.nominal_mm + at.error_mm
-    count, scatter_mm2 = len(attained_mm), np.cov(attained_mm.T)
-    ap_mm = attained_mm.mean(axis=0) - at.nominal_mm[0]
-    ap_p_mm = float(np.linalg.norm(ap_mm))
-    along = ap_mm / ap_p_mm if ap_p_mm > 0.0 else np.eye(3)[0]
-    known_mm2 = scatter_mm2 / count + shared_mm2
-    l_mm = from_mean_mm(attained_mm)
-    rp_mm, s_l_mm = repeatability_mm(l_mm), float(l_mm.std(ddof=1))
-    whole_mm2 = float(np.trace(scatter_mm2))
-    of_robot = 1.0 - noise_mm2 / whole_mm2 if whole_mm2 > noise_mm2 else 0.0
-    return Pose(
-        commanded_mm.tolist(),
-        count,
-        ap_p_mm,
-        float(ap_mm[0]),
-        float(ap_mm[1]),
-        float(ap_mm[2]),
-        expanded_mm(math.sqrt(float(along @ known_mm2 @ along))),
-        rp_mm,
-        expanded_mm(s_l_mm * math.sqrt(1.0 / count + 9.0 / (2.0 * (count - 1)))),
-        rp_mm * math.sqrt(of_robot),
-        float(l_mm.mean()),
-        s_l_mm,
-    )
-
-
-def distance_characteristics(ends: tuple[Errors, Errors], shared_mm: float) -> Distance:
-    """AD and RD = +-3 S (7.3.2, 7.3.3); ``shared_mm``: u besides the scatter."""
-    one, other = ends
-    ways_mm = (one.nominal_mm + one.error_mm) - (other.nominal_mm + other.error_mm)
-    commanded_mm = one.nominal_mm[0] - other.nominal_mm[0]
-    lengths_mm = np.linalg.norm(ways_mm, axis=1)
-    length_mm, count = float(np.linalg.norm(commanded_mm)), len(ways_mm)
-    along_mm = np.abs(ways_mm).mean(axis=0) - np.abs(commanded_mm)
-    s_d_mm = float(lengths_mm.std(ddof=1))
-    return Distance(
-        *ENDS,
-        length_mm,
-        float(lengths_mm.mean()) - length_mm,
-        float(along_mm[0]),
-        float(along_mm[1]),
-        float(along_mm[2]),
-        expanded_mm(math.hypot(s_d_mm / math.sqrt(count), shared_mm)),
-        3.0 * s_d_mm,
-        expanded_mm(3.0 * s_d_mm / math.sqrt(2.0 * (count - 1))),
-    )
-
-
-def angle_characteristics(turns_rad: Array, shared_rad2: Array | None) -> Angles:
-    """AP (7.2.1) and RP = +-3 S (7.2.2) of rotation vectors (n, 3), axes of the base.
-
-    The angles of a robot's small errors are the vector's coordinates. ``shared_rad2`` (3, 3):
-    common covariance of all attainments; None: AP is unknown.
-    """
-    s_rad, count = turns_rad.std(axis=0, ddof=1), len(turns_rad)
-    rp_rad = 3.0 * s_rad
-    rp = _by_angle(rp_rad), _by_angle(rp_rad / math.sqrt(2.0 * (count - 1)), expanded=True)
-    if shared_rad2 is None:
-        return Angles(count, *rp)
-    u_rad = np.sqrt(s_rad**2 / count + np.diag(shared_rad2))
-    return Angles(count, *rp, _by_angle(turns_rad.mean(axis=0)), _by_angle(u_rad, expanded=True))
-
-
-def _by_angle(values_rad: Array, *, expanded: bool = False) -> dict[str, float]:
-    values_deg = np.degrees(values_rad) * (2.0 if expanded else 1.0)
-    return dict(zip(ANGLES, values_deg.tolist(), strict=True))
-
-
 # -- of a run --------------------------------------------------------------------------------------
 
 
-def attained(log: Log) -> dict[str, Errors]:
+def attained_positions(log: Log) -> dict[str, Errors]:
     """Attained positions of each pose so far, in {B}, in order of the cycles."""
     T_B_W = inverse(log.matrix("base"))
     errors = {
@@ -398,58 +443,10 @@ class _Evaluation:
                     if known
                     else None
                 )
-                angles[name] = angle_characteristics(
+                angles[name] = Angles.of(
                     turned.error_rad @ R, None if rad2 is None else R.T @ rad2 @ R
                 )
         return angles
-
-
-def evaluated(log: Log) -> PoseTest:
-    cell, clouds, used, celsius = log.cell, attained(log), calibration_in(log), log.temperatures_c()
-    table, corrected_by = cell.iso9283, "" if used is None else used.provenance.latest
-    own = _Evaluation(log)
-    poses = {
-        name: pose_characteristics(
-            at,
-            commanded_mm(cell)[name],
-            own.shared_mm2(commanded_mm(cell)[name], corrected=bool(corrected_by)),
-            float(variances_mm2(own.visits()[name]).sum(axis=1).mean()),
-        )
-        for name, at in clouds.items()
-    }
-    at_ap = max(poses, key=lambda name: poses[name].ap_mm)
-    at_rp = max(poses, key=lambda name: poses[name].rp_mm)
-    ap, rp, orientation = poses[at_ap], poses[at_rp], own.orientation()
-    limits = {of.limit: getattr(table, of.limit) for of in CHARACTERISTICS}
-    return PoseTest(
-        cycles=table.cycles,
-        velocity_percent=velocity_percent(cell),
-        load_kg=table.load_kg,
-        rated_load_kg=table.rated_load_kg,
-        warm_up_min=table.warm_up_min,
-        stabilisation_s=cell.settle.robot_s,
-        temperature_c=(min(celsius), max(celsius)) if celsius else None,
-        tracker_noise_mm=rms([point.std_mm for point in log.select(ISO)]),
-        corrected_by=corrected_by,
-        cube=largest_cube(cell),
-        poses=poses,
-        distance=distance_characteristics(
-            (clouds[ENDS[0]], clouds[ENDS[1]]), math.sqrt(2.0) * own.system_mm(framed=False)
-        ),
-        worst=WorstPoses(ap.ap_mm, ap.ap_u95_mm, at_ap, rp.rp_mm, rp.rp_u95_mm, at_rp),
-        orientation=orientation,
-        not_measured=[
-            f"{of.key.upper()}_{angle}"
-            for of in (AP_ANGLES, RP_ANGLES)
-            for angle in ANGLES
-            if worst_angle(orientation, of) is None
-        ],
-        deviations=[
-            *_deviations(cell, corrected=bool(corrected_by), orientation=orientation),
-            *interruptions(log),
-        ],
-        limits={name: limit for name, limit in limits.items() if limit is not None},
-    )
 
 
 def _deviations(cell: Cell, *, corrected: bool, orientation: Mapping[str, Angles]) -> Iterator[str]:

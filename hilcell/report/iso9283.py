@@ -191,7 +191,7 @@ POSES: tuple[Column[tuple[str, Pose]], ...] = (
 def _angle(
     of: Characteristic, part: int, angle: str
 ) -> Callable[[tuple[str, Angles]], float | None]:
-    return lambda row: row[1].of(of)[part].get(angle)
+    return lambda row: row[1].figures(of)[part].get(angle)
 
 
 TURNS: tuple[Column[tuple[str, Angles]], ...] = (

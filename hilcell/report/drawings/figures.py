@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hilcell.calibration.iso9283 import CORNERS, CYCLE, PLANE, Cube, Pose, attained
+from hilcell.calibration.iso9283 import CORNERS, CYCLE, PLANE, Cube, Pose, attained_positions
 from hilcell.geometry.statistics import from_mean_mm
 from hilcell.journal.log import Log, positions_mm
 from hilcell.model.point import HOLDS, SIDES, Sent
@@ -334,7 +334,7 @@ class Figures:
             return None
         blue, orange = COLOURS[Sent.CHOSEN], COLOURS[Sent.BEFORE]
         poses = PoseReport(facts).tested().poses
-        clouds = {name: each.error_mm for name, each in attained(facts.log).items()}
+        clouds = {name: each.error_mm for name, each in attained_positions(facts.log).items()}
         reach_mm = 1.15 * max(
             *(float(from_mean_mm(cloud).max()) for cloud in clouds.values()),
             *(each.rp_mm for each in poses.values()),

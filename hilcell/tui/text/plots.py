@@ -19,7 +19,7 @@ import numpy as np
 from textual.content import Content
 
 from hilcell.calibration.decision_rule import tolerance_limits
-from hilcell.calibration.iso9283 import attained
+from hilcell.calibration.iso9283 import attained_positions
 from hilcell.calibration.position_errors import Errors, counting, position_errors
 from hilcell.calibration.recheck import KIND as RECHECK
 from hilcell.calibration.recheck import RecheckErrors
@@ -139,7 +139,7 @@ class Measured:
 
     @cached_property
     def poses(self) -> dict[str, Errors]:
-        return attained(self.log) if {"world", "base"} <= self.log.frames.keys() else {}
+        return attained_positions(self.log) if {"world", "base"} <= self.log.frames.keys() else {}
 
     @cached_property
     def figures_by_pose(self) -> dict[str, tuple[float, float]]:

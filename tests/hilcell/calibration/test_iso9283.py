@@ -17,16 +17,12 @@ from scipy.spatial.transform import Rotation
 from hilcell.calibration.iso9283 import (
     CYCLE,
     Angles,
+    Cube,
     Distance,
     Pose,
     PoseTest,
-    angle_characteristics,
     commanded_mm,
-    distance_characteristics,
-    evaluated,
     interruptions,
-    largest_cube,
-    pose_characteristics,
 )
 from hilcell.calibration.measurement_budget import NOISE, WORLD, combined_mm, measurement_budget
 from hilcell.calibration.position_errors import Errors
@@ -52,7 +48,7 @@ NOTHING_MM2 = np.zeros((3, 3))
 def test_the_poses_lie_on_the_diagonals_of_one_plane_of_the_largest_cube() -> None:
     """10 % of the diagonal from its ends (6.8.5), so 40 % of it from the centre."""
     cell = load_cell("paper", {"grid.size_mm": "[900.0, 600.0, 1200.0]"})
-    cube, poses_mm = largest_cube(cell), commanded_mm(cell)
+    cube, poses_mm = Cube.largest(cell), commanded_mm(cell)
     assert cube.side_mm == 600.0
     assert sorted(poses_mm) == sorted(CYCLE)
     assert poses_mm["P1"].tolist() == cube.centre_mm
@@ -69,7 +65,7 @@ def errors(attained_mm: Array, wanted_mm: Array) -> Errors:
 
 
 def pose(attained_mm: Array, wanted_mm: Array = NOTHING_MM2[0], *, noise_mm2: float = 0.0) -> Pose:
-    return pose_characteristics(errors(attained_mm, wanted_mm), wanted_mm, NOTHING_MM2, noise_mm2)
+    return Pose.of(errors(attained_mm, wanted_mm), wanted_mm, NOTHING_MM2, noise_mm2)
 
 
 def test_accuracy_and_repeatability_of_a_pose() -> None:
@@ -102,7 +98,7 @@ def test_the_measurement_s_noise_is_taken_off() -> None:
 
 
 def distance(ends: tuple[Array, Array], wanted: Array) -> Distance:
-    return distance_characteristics((errors(ends[0], wanted[0]), errors(ends[1], wanted[1])), 0.0)
+    return Distance.of((errors(ends[0], wanted[0]), errors(ends[1], wanted[1])), 0.0)
 
 
 def test_accuracy_and_repeatability_of_a_distance() -> None:
@@ -149,7 +145,7 @@ def test_accuracy_and_repeatability_of_angles_by_scipy() -> None:
     angles_deg = wanted_deg + rng.normal(size=(30, 3)) * scatter_deg
     attained = Rotation.from_euler("xyz", angles_deg, degrees=True) * commanded
     turns_rad = to_rotvec(attained.as_matrix() @ commanded.as_matrix().T)
-    found = angle_characteristics(turns_rad, NOTHING_MM2)
+    found = Angles.of(turns_rad, NOTHING_MM2)
     peer_deg = (attained * commanded.inv()).as_euler("xyz", degrees=True)
     assert [*found.ap_deg.values()] == pytest.approx(peer_deg.mean(axis=0), abs=2e-4)
     rp_deg = np.array([*found.rp_deg.values()])
@@ -158,7 +154,7 @@ def test_accuracy_and_repeatability_of_angles_by_scipy() -> None:
     assert pytest.approx([2.0 / math.sqrt(2.0 * 29.0)] * 3) == U
     U_deg = np.array([*found.ap_u95_deg.values()])
     assert pytest.approx(2.0 * rp_deg / 3.0 / math.sqrt(30.0)) == U_deg
-    assert angle_characteristics(turns_rad, None).ap_deg == {}
+    assert Angles.of(turns_rad, None).ap_deg == {}
 
 
 # -- limits ----------------------------------------------------------------------------------------
@@ -286,7 +282,7 @@ def system_mm(log: Log, *without: str) -> float:
 
 def test_accuracy_is_as_uncertain_as_the_base_and_the_instruments(tmp_path: Path) -> None:
     log = four_cycles(tmp_path / "r")
-    found, u_mm = evaluated(log).poses["P3"], system_mm(log, NOISE, WORLD)
+    found, u_mm = PoseTest.of(log).poses["P3"], system_mm(log, NOISE, WORLD)
     assert (found.ap_mm, found.rp_mm) == pytest.approx((1.0, 0.0), abs=1e-9)
     assert found.ap_u95_mm == pytest.approx(2.0 * np.hypot(SHIFT_MM, u_mm))
 
@@ -297,14 +293,14 @@ def test_accuracy_by_a_calibration_is_as_uncertain_as_the_world(
     """The base is the calibration's then; the tracker finds {W} again."""
     log, used = four_cycles(tmp_path / "r"), SimpleNamespace(provenance=SimpleNamespace(latest="c"))
     monkeypatch.setattr("hilcell.calibration.iso9283.calibration_in", lambda _: used)
-    found = evaluated(log).poses["P3"]
+    found = PoseTest.of(log).poses["P3"]
     assert system_mm(log, NOISE) > 1.01 * system_mm(log, NOISE, WORLD)
     assert found.ap_u95_mm == pytest.approx(2.0 * system_mm(log, NOISE))
 
 
 def test_a_distance_has_the_instruments_uncertainty_at_both_ends(tmp_path: Path) -> None:
     log = four_cycles(tmp_path / "r")
-    found = evaluated(log).distance
+    found = PoseTest.of(log).distance
     assert found.ad_u95_mm == pytest.approx(2.0 * 2.0**0.5 * system_mm(log, NOISE, WORLD))
 
 
@@ -312,4 +308,4 @@ def test_the_scatter_of_a_mean_shrinks_with_its_cycles(tmp_path: Path) -> None:
     log = four_cycles(tmp_path / "r", spread_mm=0.3)
     s_mm = 0.3 * (4.0 / 3.0) ** 0.5
     u_mm = np.sqrt(s_mm**2 / 4 + SHIFT_MM**2 + system_mm(log, NOISE, WORLD) ** 2)
-    assert evaluated(log).poses["P3"].ap_u95_mm == pytest.approx(2.0 * u_mm)
+    assert PoseTest.of(log).poses["P3"].ap_u95_mm == pytest.approx(2.0 * u_mm)
