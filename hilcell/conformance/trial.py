@@ -15,7 +15,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 
@@ -30,7 +30,7 @@ from hilcell.cell.file import Cell
 from hilcell.conformance.exercise import PORTS, USES, Driver, Port, Reading
 from hilcell.decoding import Json
 from hilcell.errors import DeviceError, HilcellError, Stopped, with_location
-from hilcell.ports import Clock, Identity, SimulatedCell
+from hilcell.ports import Clock, Identity, SimulatedCell, Streams, Sweeps
 from hilcell.wire.relay import Relays
 
 Verdict = Literal["held", "broken", "not applicable", "needs a person"]
@@ -222,23 +222,6 @@ class Bench:
             self.clock.outer()
             time.sleep(min(left_s, POLL_S))
 
-    def require_same_place(self, one: Reading, other: Reading, otherwise: str) -> None:
-        apart = self.use.apart(one, other)
-        require(apart <= 1.0, f"{otherwise}: {apart:.1f} of what a rest allows")
-
-    def require_at(self, reading: Reading, place: int) -> None:
-        off, limit, unit = self.use.off(reading, place), self.use.tolerance, self.use.unit
-        require(
-            off <= limit,
-            f"reads {off:.4f} {unit} from place {place}, expected <= {limit:g} {unit}",
-        )
-
-    def visit(self, device: Driver, place: int) -> Reading:
-        """Go to a place; return the reading there; raises `Broken` where it is of another."""
-        reading = self.use.visit(device, place)
-        self.require_at(reading, place)
-        return reading
-
     def reset(self) -> None:
         self.clock.stop.clear()
         self._wires.pass_all()
@@ -275,35 +258,75 @@ class Bench:
             simulated.close()
 
 
-Check = Callable[[Bench], None]
-
-
-@dataclass(frozen=True, slots=True)
 class Promise:
-    """``check`` raises `Broken`. ``paced``: on a device that moves in real time. ``real``: on real
-    devices too, where it does only what any run does. ``waits``: until the driver gives up.
+    """A method of `Promises` that raises `Broken`; the promise has its name and its docstring.
+
+    ``paced``: on a device that moves in real time. ``real``: on real devices too, where it does
+    only what any run does. ``waits``: until the driver gives up.
     """
 
     name: str
-    sentence: str
-    check: Check
-    ports: tuple[Port, ...]
-    paced: bool = False
-    real: bool = False
-    waits: bool = False
+    _judge: type[Promises]
+
+    def __init__(
+        self,
+        check: Callable[[Any], None],
+        *ports: Port,
+        paced: bool = False,
+        real: bool = False,
+        waits: bool = False,
+    ) -> None:
+        self.sentence, self._check, self.ports = check.__doc__ or "", check, ports
+        self.paced, self.real, self.waits = paced, real, waits
+
+    def __set_name__(self, owner: type[Promises], name: str) -> None:
+        self.name, self._judge = name.replace("_", "-"), owner
+        self.ports = self.ports or owner.ports
+
+    def check(self, bench: Bench) -> None:
+        self._check(self._judge(bench))
 
 
-class Promises(list[Promise]):
-    """Promises in the order in which they are judged."""
+def promise(*ports: Port, **flags: bool) -> Callable[[Callable[[Any], None]], Promise]:
+    """Decorator: make a method a `Promise`, of all ports of its class or of some of them."""
+    return lambda check: Promise(check, *ports, **flags)
 
-    def add(self, name: str, *ports: Port, **flags: bool) -> Callable[[Check], Check]:
-        """Decorator that adds a check as a promise; its docstring is the sentence."""
 
-        def added(check: Check) -> Check:
-            self.append(Promise(name, check.__doc__ or "", check, ports or PORTS, **flags))
-            return check
+class Promises:
+    """Promises about one subject, in the order in which they are judged."""
 
-        return added
+    ports: tuple[Port, ...] = PORTS
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench, self.use, self.cell = bench, bench.use, bench.cell
+
+    @classmethod
+    def listed(cls) -> list[Promise]:
+        return [each for each in vars(cls).values() if isinstance(each, Promise)]
+
+    def able(self, kind: type[Sweeps | Streams], what: str) -> Driver:
+        """A connected driver; raises `NotApplicable` where it lacks an ability."""
+        driver = self.bench.connected()
+        if not isinstance(driver, kind):
+            raise NotApplicable(f"it does not {what}")
+        return driver
+
+    def require_same_place(self, one: Reading, other: Reading, otherwise: str) -> None:
+        apart = self.use.apart(one, other)
+        require(apart <= 1.0, f"{otherwise}: {apart:.1f} of what a rest allows")
+
+    def require_at(self, reading: Reading, place: int) -> None:
+        off, limit, unit = self.use.off(reading, place), self.use.tolerance, self.use.unit
+        require(
+            off <= limit,
+            f"reads {off:.4f} {unit} from place {place}, expected <= {limit:g} {unit}",
+        )
+
+    def visit(self, device: Driver, place: int) -> Reading:
+        """Go to a place; return the reading there; raises `Broken` where it is of another."""
+        reading = self.use.visit(device, place)
+        self.require_at(reading, place)
+        return reading
 
 
 @dataclass(frozen=True, slots=True)

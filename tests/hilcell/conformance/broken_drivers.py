@@ -30,12 +30,26 @@ GOOD_VISITS = 4
 TORN, LATELY = 3, 9  # receptions of one byte, among the last ones
 C3_HEADER = 4  # bytes: tag and length
 
+BROKEN: dict[Port, dict[str, type[Any]]] = {"robot": {}, "rail": {}, "tracker": {}}
+
+
+class Broken:
+    """A driver of ``port`` that is listed in `BROKEN` by the promise that it breaks."""
+
+    port: Port
+
+    def __init_subclass__(cls, *, breaks: str = "") -> None:
+        if breaks:
+            BROKEN[cls.port][breaks] = cls
+
+
 # -- the robot: the promises of all ports, and its own --------------------------------------------
 
 
-class Robot(KukaC3Robot):
+class Robot(Broken, KukaC3Robot):
     """The shipped driver; ``asked`` is a question, ``visited`` a motion and its reading."""
 
+    port = "robot"
     takes_anything = False
     up = failed = False
     last: Any = None
@@ -101,7 +115,7 @@ def replaced(reading: Any, **changed: Any) -> Any:
     return type(reading)(**{name: getattr(reading, name) for name in names} | changed)
 
 
-class IdentitySame(Robot):
+class IdentitySame(Robot, breaks="identity-same"):
     connects = 0
 
     def connect(self) -> Any:
@@ -112,7 +126,7 @@ class IdentitySame(Robot):
         ]
 
 
-class IdentityClean(Robot):
+class IdentityClean(Robot, breaks="identity-clean"):
     def connect(self) -> Any:
         return [
             msgspec.structs.replace(each, model=f"{each.model}\x1b[2J")
@@ -120,14 +134,14 @@ class IdentityClean(Robot):
         ]
 
 
-class IdentityWrong(Robot):
+class IdentityWrong(Robot, breaks="identity-wrong"):
     def __init__(self, options: Any, clock: Any) -> None:
         serials = [key for key in options.__struct_fields__ if key.endswith("serial")]
         anyone = {key: type(getattr(options, key))() for key in serials}
         super().__init__(msgspec.structs.replace(options, **anyone), clock)
 
 
-class Unreachable(Robot):
+class Unreachable(Robot, breaks="unreachable"):
     def connect(self) -> Any:
         try:
             return super().connect()
@@ -137,21 +151,21 @@ class Unreachable(Robot):
             raise
 
 
-class NotConnected(Robot):
+class NotConnected(Robot, breaks="not-connected"):
     def asked(self, call: Call) -> Any:
         if not (self.up or self.failed):
             raise AttributeError("'NoneType' object has no attribute 'send'")
         return super().asked(call)
 
 
-class ConnectTwice(Robot):
+class ConnectTwice(Robot, breaks="connect-twice"):
     def connect(self) -> Any:
         if self.up and not self.failed:
             raise DeviceRefused("HC-C99", "Device", "connect", "connected already")
         return super().connect()
 
 
-class CloseTwice(Robot):
+class CloseTwice(Robot, breaks="close-twice"):
     def close(self) -> None:
         if self.was_closed and not self.connecting:
             raise RuntimeError("closed already")
@@ -159,7 +173,7 @@ class CloseTwice(Robot):
         super().close()
 
 
-class StopTwice(Robot):
+class StopTwice(Robot, breaks="stop-twice"):
     def stop(self) -> None:
         if self.was_closed:
             raise DeviceError("HC-C99", "Device", "stop", "not connected")
@@ -170,17 +184,17 @@ class StopTwice(Robot):
         self.was_closed = True
 
 
-class Taken(Robot):
+class Taken(Robot, breaks="taken"):
     def asked(self, call: Call) -> Any:
         reading = super().asked(call)
         return replaced(reading, taken_s=reading.taken_s + 10.0)
 
 
-class NoNumber(Robot):
+class NoNumber(Robot, breaks="no-number"):
     takes_anything = True
 
 
-class ReadsBack(Robot):
+class ReadsBack(Robot, breaks="reads-back"):
     def visited(self, call: Call) -> Any:
         reading = super().visited(call)
         self.visits += 1
@@ -189,17 +203,17 @@ class ReadsBack(Robot):
         return replaced(reading, joints_rad=reading.joints_rad + np.radians(0.05))
 
 
-class AtRest(Robot):
+class AtRest(Robot, breaks="at-rest"):
     def asked(self, call: Call) -> Any:
         return replaced(super().asked(call), still=False)
 
 
-class Ended(Robot):
+class Ended(Robot, breaks="ended"):
     def asked(self, call: Call) -> Any:
         return replaced(super().asked(call), ended_s=None)
 
 
-class Silent(Robot):
+class Silent(Robot, breaks="silent"):
     def asked(self, call: Call) -> Any:
         try:
             return super().asked(call)
@@ -209,7 +223,7 @@ class Silent(Robot):
             raise
 
 
-class Late(Robot):
+class Late(Robot, breaks="late"):
     def asked(self, call: Call) -> Any:
         if self.missed:
             return self.last
@@ -241,7 +255,7 @@ class LateByTag(KukaC3Robot):
         return found
 
 
-class Slow(Robot):
+class Slow(Robot, breaks="slow"):
     def asked(self, call: Call) -> Any:
         began_s = time.monotonic()
         reading = super().asked(call)
@@ -250,7 +264,7 @@ class Slow(Robot):
         return reading
 
 
-class Pieces(Robot):
+class Pieces(Robot, breaks="pieces"):
     """Does not take answers of which one byte came alone again and again."""
 
     def connect(self) -> Any:
@@ -272,7 +286,7 @@ class Pieces(Robot):
         return found
 
 
-class Garbage(Robot):
+class Garbage(Robot, breaks="garbage"):
     def asked(self, call: Call) -> Any:
         try:
             return super().asked(call)
@@ -282,7 +296,7 @@ class Garbage(Robot):
             raise
 
 
-class DeviceKilled(Robot):
+class DeviceKilled(Robot, breaks="device-killed"):
     def asked(self, call: Call) -> Any:
         try:
             return super().asked(call)
@@ -292,7 +306,7 @@ class DeviceKilled(Robot):
             raise
 
 
-class ClientKilled(Robot):
+class ClientKilled(Robot, breaks="client-killed"):
     """Gives the controller ten minutes in which the PC may keep silent."""
 
     def begin(self, start: Any) -> int:
@@ -303,13 +317,13 @@ class ClientKilled(Robot):
         return number
 
 
-class StopAtOnce(Robot):
+class StopAtOnce(Robot, breaks="stop-at-once"):
     def stop(self) -> None:
         time.sleep(0.1)
         super().stop()
 
 
-class StopRests(Robot):
+class StopRests(Robot, breaks="stop-rests"):
     """Notes a stop, and lets the device move on."""
 
     def stop(self) -> None:
@@ -324,7 +338,7 @@ class StopRests(Robot):
             raise DeviceError("HC-C99", "Device", "move", "it was stopped")
 
 
-class StopHolds(Robot):
+class StopHolds(Robot, breaks="stop-holds"):
     def stop(self) -> None:
         self.stopped = True
         super().stop()
@@ -356,12 +370,12 @@ class DeafClock:
         pass
 
 
-class Checked(Robot):
+class Checked(Robot, breaks="checked"):
     def __init__(self, options: Any, clock: Any) -> None:
         super().__init__(options, DeafClock(clock))
 
 
-class RobotUnits(Robot):
+class RobotUnits(Robot, breaks="units"):
     def visited(self, call: Call) -> Any:
         reading = super().visited(call)
         pose = reading.pose.copy()
@@ -369,7 +383,7 @@ class RobotUnits(Robot):
         return replaced(reading, pose=pose)
 
 
-class RobotHandedness(Robot):
+class RobotHandedness(Robot, breaks="handedness"):
     def visited(self, call: Call) -> Any:
         reading = super().visited(call)
         pose = reading.pose.copy()
@@ -377,17 +391,17 @@ class RobotHandedness(Robot):
         return replaced(reading, pose=pose)
 
 
-class RobotSpeed(Robot):
+class RobotSpeed(Robot, breaks="speed"):
     def move_to(self, joints_rad: Any, speed_percent: float) -> Any:
         return super().move_to(joints_rad, speed_percent if 1 <= speed_percent <= 100 else 10.0)
 
 
-class RobotSweep(Robot):
+class RobotSweep(Robot, breaks="sweep"):
     def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> Any:
         return super().sweep(axis, end_rad, 3.0 * speed_rad_s)
 
 
-class RobotMoving(Robot):
+class RobotMoving(Robot, breaks="moving"):
     def asked(self, call: Call) -> Any:
         return replaced(super().asked(call), still=True)
 
@@ -395,7 +409,9 @@ class RobotMoving(Robot):
 # -- the rail's own --------------------------------------------------------------------------------
 
 
-class Rail(CanopenRail):
+class Rail(Broken, CanopenRail):
+    port = "rail"
+
     def read(self) -> Any:
         return self.told(super().read())
 
@@ -406,22 +422,22 @@ class Rail(CanopenRail):
         return reading
 
 
-class RailUnits(Rail):
+class RailUnits(Rail, breaks="units"):
     def told(self, reading: Any) -> Any:
         return replaced(reading, strip_mm=1.05 * reading.strip_mm)
 
 
-class RailHandedness(Rail):
+class RailHandedness(Rail, breaks="handedness"):
     def told(self, reading: Any) -> Any:
         return replaced(reading, strip_mm=-reading.strip_mm)
 
 
-class RailHeld(Rail):
+class RailHeld(Rail, breaks="held"):
     def hold(self) -> None:
         pass
 
 
-class RailTravel(Rail):
+class RailTravel(Rail, breaks="travel"):
     def move_to(self, position_mm: float) -> None:
         options = self._options
         if np.isfinite(position_mm):
@@ -429,7 +445,7 @@ class RailTravel(Rail):
         super().move_to(position_mm)
 
 
-class RailCounts(Rail):
+class RailCounts(Rail, breaks="counts"):
     def close(self) -> None:
         super().close()
         self._statistics = type(self._statistics)()
@@ -438,17 +454,18 @@ class RailCounts(Rail):
 # -- the tracker's own -----------------------------------------------------------------------------
 
 
-class Tracker(LeicaEmsconTracker):
+class Tracker(Broken, LeicaEmsconTracker):
+    port = "tracker"
     REPLY_S = MOVE_S = RESULT_S = 0.5
 
 
-class TrackerUnits(Tracker):
+class TrackerUnits(Tracker, breaks="units"):
     def measure(self, near_mm: Array, reflector: str, samples: int) -> Any:
         reading = super().measure(near_mm, reflector, samples)
         return replaced(reading, xyz_mm=1.009 * reading.xyz_mm)
 
 
-class TrackerHandedness(Tracker):
+class TrackerHandedness(Tracker, breaks="handedness"):
     """Has the third nest on the other side of the plane of tracker and the two before."""
 
     def __init__(self, options: Any, clock: Any) -> None:
@@ -467,12 +484,12 @@ class TrackerHandedness(Tracker):
         return replaced(reading, xyz_mm=at_mm - 2.0 * float(normal @ at_mm) * normal)
 
 
-class TrackerSamples(Tracker):
+class TrackerSamples(Tracker, breaks="samples"):
     def measure(self, near_mm: Array, reflector: str, samples: int) -> Any:
         return replaced(super().measure(near_mm, reflector, samples), samples=1)
 
 
-class TrackerNothingThere(Tracker):
+class TrackerNothingThere(Tracker, breaks="nothing-there"):
     last: Any = "a reading that nobody took"
 
     def measure(self, near_mm: Any, reflector: str, samples: int) -> Any:
@@ -484,7 +501,7 @@ class TrackerNothingThere(Tracker):
         return self.last
 
 
-class TrackerReflector(Tracker):
+class TrackerReflector(Tracker, breaks="reflector"):
     def measure(self, near_mm: Any, reflector: str, samples: int) -> Any:
         return super().measure(near_mm, self._options.reflector, samples)
 
@@ -519,76 +536,23 @@ class Streaming(Tracker):
         raise NotImplementedError
 
 
-class TrackerStreamTimes(Streaming):
+class TrackerStreamTimes(Streaming, breaks="stream-times"):
     def block(self, block: StreamBlock) -> StreamBlock:
         return replace(block, device_s=1.1 * block.device_s)
 
 
-class TrackerStreamGaps(Streaming):
+class TrackerStreamGaps(Streaming, breaks="stream-gaps"):
     def block(self, block: StreamBlock) -> StreamBlock | None:
         self.blocks += 1
         return None if self.blocks == 3 else block
 
 
-class TrackerStreamPlace(Streaming):
+class TrackerStreamPlace(Streaming, breaks="stream-place"):
     def block(self, block: StreamBlock) -> StreamBlock:
         return replace(block, xyz_mm=block.xyz_mm + 100.0)
 
 
-class TrackerStreamEnds(Tracker):
+class TrackerStreamEnds(Tracker, breaks="stream-ends"):
     def stream(self, near_mm: Any, reflector: str, rate_hz: float) -> Any:
         """Leave the tracker in the mode of its stream."""
         return nullcontext(super().stream(near_mm, reflector, rate_hz).__enter__())
-
-
-BROKEN: dict[Port, dict[str, type[Any]]] = {
-    "robot": {
-        "identity-same": IdentitySame,
-        "identity-clean": IdentityClean,
-        "identity-wrong": IdentityWrong,
-        "unreachable": Unreachable,
-        "not-connected": NotConnected,
-        "connect-twice": ConnectTwice,
-        "close-twice": CloseTwice,
-        "stop-twice": StopTwice,
-        "taken": Taken,
-        "no-number": NoNumber,
-        "reads-back": ReadsBack,
-        "at-rest": AtRest,
-        "ended": Ended,
-        "silent": Silent,
-        "late": Late,
-        "slow": Slow,
-        "pieces": Pieces,
-        "garbage": Garbage,
-        "device-killed": DeviceKilled,
-        "client-killed": ClientKilled,
-        "stop-at-once": StopAtOnce,
-        "stop-rests": StopRests,
-        "stop-holds": StopHolds,
-        "checked": Checked,
-        "units": RobotUnits,
-        "handedness": RobotHandedness,
-        "speed": RobotSpeed,
-        "sweep": RobotSweep,
-        "moving": RobotMoving,
-    },
-    "rail": {
-        "units": RailUnits,
-        "handedness": RailHandedness,
-        "held": RailHeld,
-        "travel": RailTravel,
-        "counts": RailCounts,
-    },
-    "tracker": {
-        "units": TrackerUnits,
-        "handedness": TrackerHandedness,
-        "samples": TrackerSamples,
-        "nothing-there": TrackerNothingThere,
-        "reflector": TrackerReflector,
-        "stream-times": TrackerStreamTimes,
-        "stream-gaps": TrackerStreamGaps,
-        "stream-place": TrackerStreamPlace,
-        "stream-ends": TrackerStreamEnds,
-    },
-}

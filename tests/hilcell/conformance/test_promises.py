@@ -19,7 +19,8 @@ import pytest
 
 from drivers.supervision import HEARTBEAT_TIMEOUT_S
 from hilcell.cell.file import load_cell
-from hilcell.conformance import common_promises, trial
+from hilcell.conformance import trial
+from hilcell.conformance.common_promises import PortPromises, WirePromises
 from hilcell.conformance.exercise import PORTS, Port
 from hilcell.conformance.promises import PROMISES, driver_cell, promises_of, renewed
 from hilcell.conformance.trial import Bench, Broken, Outcome, Promise, Trial
@@ -86,15 +87,16 @@ def test_readings_of_two_places_are_no_rest(turned_deg: float) -> None:
     bench = Bench(load_cell("paper"), "robot")
     one = RobotReading(np.zeros(6), np.eye(4), still=True, taken_s=0.0)
     other = replace(one, joints_rad=np.radians([0.0, 0.0, turned_deg, 0.0, 0.0, 0.0]))
-    bench.require_same_place(one, one, "it moves")
+    judging = PortPromises(bench)
+    judging.require_same_place(one, one, "it moves")
     with pytest.raises(Broken, match="it moves: "):
-        bench.require_same_place(one, other, "it moves")
+        judging.require_same_place(one, other, "it moves")
 
 
 def test_one_of_some_stops_has_to_be_prompt() -> None:
-    common_promises._prompt("stop took", [0.5, 0.01], 0.02)
+    WirePromises._prompt("stop took", [0.5, 0.01], 0.02)
     with pytest.raises(Broken, match="stop took 30 ms, expected <= 20 ms"):
-        common_promises._prompt("stop took", [0.5, 0.03], 0.02)
+        WirePromises._prompt("stop took", [0.5, 0.03], 0.02)
 
 
 @pytest.mark.parametrize(
@@ -129,7 +131,7 @@ def test_a_robot_that_goes_on_without_its_client_breaks_its_promise(
 ) -> None:
     """A shorter motion and a shorter wait than usual: one that brakes by itself does so in both."""
     monkeypatch.setattr(trial.Bench, "PACE", 1.5 * trial.Bench.PACE)
-    monkeypatch.setattr(common_promises, "GONE_S", HEARTBEAT_TIMEOUT_S + 0.5)
+    monkeypatch.setattr(WirePromises, "GONE_S", HEARTBEAT_TIMEOUT_S + 0.5)
     assert kept("robot", ["client-killed"]) == []
 
 
