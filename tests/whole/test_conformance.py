@@ -227,7 +227,8 @@ SLOW = {"robot.speed_percent": "10", "rail.speed_mm_s": "25"}
 def test_a_real_device_is_moved_slowly_and_by_a_persons_word_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(promises.TrackerPromises, "STREAM_S", 0.2)  # of this PC: 200 times as long at the tracker
+    # of this PC: 200 times as long at the tracker
+    monkeypatch.setattr(promises.TrackerPromises, "STREAM_S", 0.2)
     words = ("--cell", shop_cell(tmp_path))
     with simulation(200.0) as simulated:
         fast = ran(tmp_path, "conformance", simulated.shop, *words, name="fast")
