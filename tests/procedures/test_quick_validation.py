@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -15,11 +16,10 @@ from hilcell.cell.file import load_cell
 from hilcell.journal.log import Log
 from hilcell.model.outcome import Outcome
 from hilcell.ports import HilcellError
-from hilcell.run.cell_session import CellSession
 from procedures import quick_validation
 from procedures.calibrate import CALIBRATE
 from procedures.paper import PaperRows
-from procedures.quick_validation import Decision
+from procedures.quick_validation import Decision, SequentialRule
 from procedures.validate import MARGIN_MM, Validate, targets
 
 QUICK = load_cell("paper", {"plan.quick": "true"})
@@ -65,27 +65,37 @@ def test_targets_are_sent_until_the_station_is_decided(
     assert list(quick_validation.rounds(log, "S300", "before")) == [range(8)]
 
 
+class Validated:
+    """A run that has measured ``count`` targets off by ``error_mm``, with the same U of both."""
+
+    def __init__(self, patch: pytest.MonkeyPatch, error_mm: float, U_mm: float, count: int) -> None:
+        self.cell, self.U_mm, self.events = QUICK, U_mm, list[Any]()
+        found = Errors(np.zeros((count, 3)), np.tile([error_mm, 0.0, 0.0], (count, 1)))
+        patch.setattr(quick_validation, "validation", lambda log, stations: {"chosen": found})
+        patch.setattr(quick_validation, "guard_band", lambda log, n: Guard(self.U_mm, self.U_mm))
+
+    def happened(self, kind: object) -> list[Any]:
+        return self.events
+
+    def of_tolerance(self, mean_mm: float) -> Any:
+        values = {"plan.quick": "true", "validation.mean_tolerance_mm": str(mean_mm)}
+        self.cell = load_cell("paper", values)
+        return self
+
+
 def test_a_station_stays_decided_by_the_uncertainty_of_then(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """U grew after S300 was decided: seed 22 of `hard` was accepted, and undecided in the end."""
-    events: list[Any] = []
-    found = Errors(np.zeros((40, 3)), np.tile([0.045, 0.0, 0.0], (40, 1)))
-    log = cast("Log", SimpleNamespace(cell=QUICK, happened=lambda kind: events))
-    session = cast(
-        "CellSession",
-        SimpleNamespace(log=log, add=events.append),
-    )
-    monkeypatch.setattr(quick_validation, "validation", lambda log, stations: {"chosen": found})
-    now = Guard(0.03, 0.03)
-    monkeypatch.setattr(quick_validation, "guard_band", lambda log, count: now)
+    log: Any = Validated(monkeypatch, 0.045, 0.03, count=40)
+    session: Any = SimpleNamespace(log=log, add=log.events.append)
     assert quick_validation.decision_at(log, "S300").outcome == Outcome.ACCEPTED
     quick_validation.record_guard(session, "S300")
-    now = Guard(0.065, 0.065)
+    log.U_mm = 0.065
     assert quick_validation.decision_at(log, "S300").outcome == Outcome.ACCEPTED
     assert quick_validation.decision_at(log, "S1900").outcome == Outcome.UNDECIDED
     quick_validation.record_guard(session, "S300")
-    assert len(events) == 1
+    assert len(log.events) == 1
 
 
 def test_a_plan_that_can_never_accept_is_refused() -> None:
@@ -98,11 +108,7 @@ def test_a_tolerance_that_u_has_nearly_used_up_ends_undecided_and_not_in_a_fault
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The plan was refused in the middle of the validation, when U was known."""
-    cell = load_cell("paper", {"plan.quick": "true", "validation.mean_tolerance_mm": "0.025"})
-    found = Errors(np.zeros((96, 3)), np.tile([0.002, 0.0, 0.0], (96, 1)))
-    log = cast("Log", SimpleNamespace(cell=cell, happened=lambda kind: []))
-    monkeypatch.setattr(quick_validation, "validation", lambda log, stations: {"chosen": found})
-    monkeypatch.setattr(quick_validation, "guard_band", lambda log, count: Guard(0.0225, 0.0225))
+    log = Validated(monkeypatch, 0.002, 0.0225, count=96).of_tolerance(0.025)
     assert quick_validation.decision_at(log, "S300") == Decision(Outcome.UNDECIDED, 96)
     assert "most_targets" in quick_validation.judgement(log, ["S300"]).text
 
@@ -124,17 +130,88 @@ def test_what_is_above_a_tolerance_less_u_is_out_of_tolerance_only_above_it_less
     error_mm: float, outcome: Outcome, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The report said undecided of the very figures that the verdict called rejected."""
-    cell = load_cell("paper", {"plan.quick": "true", "validation.mean_tolerance_mm": "0.1"})
-    found = Errors(np.zeros((96, 3)), np.tile([error_mm, 0.0, 0.0], (96, 1)))
-    log = cast("Log", SimpleNamespace(cell=cell, happened=lambda kind: []))
-    guard = Guard(0.06, 0.06)
-    monkeypatch.setattr(quick_validation, "validation", lambda log, stations: {"chosen": found})
-    monkeypatch.setattr(quick_validation, "guard_band", lambda log, count: guard)
+    log = Validated(monkeypatch, error_mm, 0.06, count=96).of_tolerance(0.1)
+    limits, guard = tolerance_limits(log.cell), Guard(0.06, 0.06)
     decided = quick_validation.decision_at(log, "S300")
     assert decided.outcome is not Outcome.UNDECIDED  # more would not help
     judgement = quick_validation.judgement(log, ["S300"])
     assert judgement.outcome == outcome
-    verdict = decide(error_mm, error_mm, tolerance_limits(cell), guard, sequential=judgement)
+    verdict = decide(error_mm, error_mm, limits, guard, sequential=judgement)
     assert verdict.outcome == outcome
     assert "most_targets" not in judgement.text
     assert judgement.text.startswith(verdict.outcome.text)
+
+
+# -- The sequential rule: its risks by trial, its efforts, and what must never be accepted ---------
+
+
+RULE = SequentialRule(
+    mean_limit_mm=0.2, max_limit_mm=1.0, share=0.1, accept_risk=0.05, reject_risk=0.05, block=8
+)
+MOST, TRIALS = 96, 250
+PARTS = np.array([0.2, 0.4, 0.7, 0.9, 1.1, 1.3, 1.6, 1.8])  # of the mean, by octant
+
+
+def shares(draw: np.ndarray) -> dict[str, float]:
+    """Return how often each outcome is reached for errors (TRIALS, MOST)."""
+    outcomes = [RULE.decide(errors).outcome for errors in draw]
+    return {name: outcomes.count(name) / len(draw) for name in (Outcome.ACCEPTED, Outcome.REJECTED)}
+
+
+def spread(mean_mm: float, seed: int) -> np.ndarray:
+    """Return errors that differ from octant to octant, their mean as wanted."""
+    rng = np.random.default_rng(seed)
+    level = mean_mm * np.tile(PARTS, MOST // len(PARTS))
+    return rng.gamma(9.0, level / 9.0, size=(TRIALS, MOST))
+
+
+def two_sizes(mean_mm: float, large_mm: float, seed: int) -> np.ndarray:
+    """Return errors that are none but for a few large ones: the hardest to notice."""
+    rng = np.random.default_rng(seed)
+    return large_mm * (rng.uniform(size=(TRIALS, MOST)) < mean_mm / large_mm)
+
+
+@pytest.mark.parametrize("draw", [spread(0.2, 1), two_sizes(0.2, 0.9, 2), two_sizes(0.2, 0.4, 3)])
+def test_at_the_limit_of_the_mean_both_risks_are_kept(draw: np.ndarray) -> None:
+    found = shares(np.minimum(draw, 1.0))
+    assert found["accepted"] <= 0.05
+    assert found["rejected"] <= 0.05
+
+
+def test_a_share_above_the_maximum_is_accepted_at_most_at_its_risk() -> None:
+    draw = np.where(np.random.default_rng(4).uniform(size=(TRIALS, MOST)) < 0.1, 1.1, 0.02)
+    found = shares(draw)
+    assert 0.0 < found["accepted"] <= 0.05 + 2 * math.sqrt(0.05 * 0.95 / TRIALS)
+    assert found["accepted"] + found["rejected"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("mean_mm", "outcome", "targets"),
+    [(0.04, "accepted", 32), (0.1, "accepted", 48), (0.4, "rejected", 16)],
+)
+def test_clear_cases_take_few_targets(mean_mm: float, outcome: str, targets: int) -> None:
+    decisions = [RULE.decide(errors) for errors in spread(mean_mm, 5)]
+    assert {each.outcome for each in decisions} == {outcome}
+    assert np.median([each.targets for each in decisions]) <= targets
+
+
+def test_a_decision_stays_as_it_was_when_more_is_measured() -> None:
+    for errors in spread(0.12, 6)[:50]:
+        found = RULE.decide(errors)
+        if found.outcome != "undecided":
+            assert RULE.decide(errors[: found.targets]) == found
+            assert RULE.decide(errors[: found.targets - 1]).outcome == "undecided"
+
+
+def test_nothing_is_decided_before_a_block_is_whole() -> None:
+    assert RULE.decide([]).outcome == "undecided"
+    assert RULE.decide(np.full(7, 5.0)) == RULE.decide([])
+    assert RULE.decide(np.full(8, 5.0)).outcome == "rejected"
+
+
+@pytest.mark.parametrize("bad", [1.001, math.nan, math.inf])
+def test_one_target_above_the_maximum_rejects(bad: float) -> None:
+    errors = np.full(64, 0.01)
+    errors[20] = bad
+    found = RULE.decide(errors)
+    assert (found.outcome, found.targets) == ("rejected", 24)

@@ -18,7 +18,7 @@ from hilcell.geometry.frames import inverse, pose_from_zyx
 from hilcell.geometry.inverse import NominalRobot
 from hilcell.ports import HilcellError
 from hilcell.programs.holes import NORMALS, Holes, tools_against
-from hilcell.programs.plan import Reach, along_rail, fewest, plan, ratio
+from hilcell.programs.plan import HolePlan, Reach, along_rail, fewest, plan, ratio
 
 CELL = load_cell("paper")
 ARM = CELL.robot.arm()
@@ -57,6 +57,17 @@ def reaches(station: Station, holes: Holes, number: int) -> bool:
     return bool(ok.any())
 
 
+def drilled_against_normals(holes: Holes, found: HolePlan) -> None:
+    """Fail unless all poses are within limits, at their holes and against their normals."""
+    for each in found.stations:
+        poses = np.array([pose_from_zyx(*row) for row in each.poses])
+        back = inverse(CELL.layout.nominal_base(each.station.rail_mm))
+        NominalRobot(ARM, CELL.robot.status, LIMITS, HOME).joints_for(back @ poses)
+        numbers = [holes.names.index(name) for name in each.holes]
+        np.testing.assert_allclose(poses[:, :3, 3], holes.points_mm[numbers], atol=1e-9)
+        np.testing.assert_allclose(poses[:, :3, 2], holes.tools[numbers, 0, :, 2], atol=1e-9)
+
+
 @settings(max_examples=5)
 @given(seeds, st.integers(1, 40), st.booleans())
 def test_every_hole_once_at_the_closest_chosen_station_that_reaches_it(
@@ -75,41 +86,31 @@ def test_every_hole_once_at_the_closest_chosen_station_that_reaches_it(
             assert each.station in able
             off_mm = min(abs(other.rail_mm - along_mm) for other in able)
             assert abs(each.station.rail_mm - along_mm) == pytest.approx(off_mm, abs=1e-9)
+    drilled_against_normals(holes, found)
 
 
 @settings(max_examples=5)
 @given(seeds, st.integers(1, 30))
 def test_no_fewer_stations_do(seed: int, count: int) -> None:
     holes = wall(seed, count)
-    used = len(plan(CELL, holes).stations)
+    found = plan(CELL, holes)
+    drilled_against_normals(holes, found)
+    used = len(found.stations)
     able = np.array([[reaches(s, holes, n) for s in CELL.station] for n in range(count)])
     for subset in combinations(range(len(CELL.station)), used - 1):
         assert not able[:, subset].any(axis=1).all()
-
-
-@settings(max_examples=5)
-@given(seeds, st.integers(1, 30))
-def test_poses_are_within_limits_and_drill_against_the_normal(seed: int, count: int) -> None:
-    holes = wall(seed, count)
-    for each in plan(CELL, holes).stations:
-        poses = np.array([pose_from_zyx(*row) for row in each.poses])
-        back = inverse(CELL.layout.nominal_base(each.station.rail_mm))
-        NominalRobot(ARM, CELL.robot.status, LIMITS, HOME).joints_for(back @ poses)
-        for pose, name in zip(poses, each.holes, strict=True):
-            number = holes.names.index(name)
-            np.testing.assert_allclose(pose[:3, 3], holes.points_mm[number], atol=1e-9)
-            np.testing.assert_allclose(pose[:3, 2], holes.tools[number, 0, :, 2], atol=1e-9)
 
 
 def test_the_turn_with_most_room_is_taken() -> None:
     holes = wall(3, 10, 800.0)
     reached = Reach(CELL, holes, CELL.station)
     back = inverse(CELL.layout.nominal_base(CELL.station[1].rail_mm))
+    robot = NominalRobot(ARM, CELL.robot.status, LIMITS, HOME)
     for number in range(10):
         rooms = []
         for pose in holes.poses()[number]:
-            if NominalRobot(ARM, CELL.robot.status, LIMITS, HOME).reachable(back @ pose):
-                joints = NominalRobot(ARM, CELL.robot.status, LIMITS, HOME).joints_for(back @ pose)
+            if robot.reachable(back @ pose):
+                joints = robot.joints_for(back @ pose)
                 to_limits = np.minimum(joints - LIMITS[0], LIMITS[1] - joints).min()
                 rooms.append(min(to_limits, abs(joints[4])))
             else:
@@ -118,9 +119,13 @@ def test_the_turn_with_most_room_is_taken() -> None:
 
 
 def test_stations_are_visited_along_the_rail_from_where_homing_leaves_the_slide() -> None:
-    rails = [each.station.rail_mm for each in plan(CELL, wall(1, 60, 2400.0)).stations]
+    found = plan(CELL, wall(1, 60, 2400.0))
+    rails = [each.station.rail_mm for each in found.stations]
     assert len(rails) >= 2
     assert rails == sorted(rails)
+    assert found.travel_mm == sum(each.travel_mm for each in found.stations)
+    assert found.bound_mm <= found.travel_mm <= 1.05 * found.bound_mm
+    assert (ratio(0.0, 0.0), ratio(3.0, 2.0)) == (1.0, 1.5)
     assert along_rail({4: 300.0, 2: 1900.0, 7: 1100.0}) == [4, 7, 2]
     assert along_rail({4: -2700.0, 2: -1100.0, 7: -1900.0}) == [2, 7, 4]
     assert along_rail({1: 5.0}) == [1]
@@ -161,14 +166,6 @@ def test_a_hole_out_of_the_trackers_range_is_refused_though_reached() -> None:
     tracker = msgspec.structs.replace(CELL.tracker, max_range_mm=4400.0)
     with pytest.raises(HilcellError, match="range 4"):
         plan(msgspec.structs.replace(CELL, tracker=tracker), holes_at([(0, 0, 1000.0)]))
-
-
-def test_sums_and_ratio() -> None:
-    found = plan(CELL, wall(1, 60, 2400.0))
-    assert found.travel_mm == sum(each.travel_mm for each in found.stations)
-    assert found.bound_mm <= found.travel_mm <= 1.05 * found.bound_mm
-    assert ratio(0.0, 0.0) == 1.0
-    assert ratio(3.0, 2.0) == 1.5
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.integers(1, 8), st.floats(0.1, 0.9))
@@ -255,41 +252,33 @@ def test_unreachable_holes_exit_with_2(tmp_path: Path, capsys: pytest.CaptureFix
     assert not out.exists()
 
 
-def test_a_list_in_metres_is_asked_for_its_unit(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = tmp_path / "holes.csv"
-    rows = [f"H{n},-0.1,{n / 1000},1.1,0,0,-1" for n in range(200)]
-    file.write_text("\n".join([",".join(NORMALS), *rows]), "utf-8")
-    assert main(["plan", str(file)]) == 2
+METRES = [f"H{n},-0.1,{n / 1000},1.1,0,0,-1" for n in range(200)]
+
+
+@pytest.mark.parametrize(
+    ("rows", "words", "named"),
+    [
+        (["H1,1,2,3,0,0,0"], [], "line 2"),
+        (METRES, [], "metres"),
+        (["H1,0,0,1000,-1,0,0"], ["--cell", "papper"], "papper"),
+        (["H1,0,0,1000,-1,0,0"], ["-o", "no/plan.csv"], "no"),
+        (["H1,0,0,1000,-1,0,0"], ["-o", "holes.csv"], "holes.csv"),
+        (["H1,0,0,1000,-1,0,0"], ["-o", "link.csv"], "link.csv"),  # of the holes
+        (None, [], "holes.csv"),
+    ],
+    ids=["no normal", "metres", "cell", "no folder", "the holes", "a link to them", "no holes"],
+)
+def test_what_cannot_be_planned_or_written_exits_with_2(
+    rows: list[str] | None, words: list[str], named: str, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    file, text = Path("holes.csv"), "\n".join([",".join(NORMALS), *(rows or [])])
+    if rows is not None:
+        file.write_text(text, "utf-8")
+        Path("link.csv").symlink_to(file)
+    assert main(["plan", str(file), *words]) == 2
     shown = capsys.readouterr().err
-    assert "metres" in shown
+    assert named in shown
     assert len(shown.splitlines()) < 30
-
-
-def test_bad_files_exit_with_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    bad = tmp_path / "bad.csv"
-    bad.write_text(",".join(NORMALS) + "\nH1,1,2,3,0,0,0\n", "utf-8")
-    for words, named in (
-        (["plan", str(bad)], "line 2"),
-        (["plan", str(tmp_path / "none.csv")], "none.csv"),
-        (["plan", str(bad), "--cell", "papper"], "papper"),
-    ):
-        assert main(words) == 2
-        assert named in capsys.readouterr().err
-
-
-def test_a_place_that_cannot_be_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["plan", str(holes_file(tmp_path)), "-o", str(tmp_path / "no" / "plan.csv")]
-    assert main(words) == 2
-    assert str(tmp_path / "no") in capsys.readouterr().err
-
-
-def test_the_holes_are_not_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = holes_file(tmp_path)
-    before = file.read_bytes()
-    (tmp_path / "link.csv").symlink_to(file)
-    for out in (file, tmp_path / "link.csv"):
-        assert main(["plan", str(file), "-o", str(out)]) == 2
-        assert str(out) in capsys.readouterr().err
-    assert file.read_bytes() == before
+    assert rows is None or file.read_text("utf-8") == text

@@ -56,7 +56,6 @@ PANELS = {
         + [raster(25, 4, 22.5, 300.0)[:, ::-1] + [12 + shift, 0] for shift in (0, 22)]
     ),
 }
-LATTICE = np.vstack([raster(50, 6, 25.0, 180.0), raster(40, 5, 22.5, 240.0)[:, ::-1] + [12, 0]])
 
 
 def curved(flat: np.ndarray, seed: int) -> np.ndarray:
@@ -146,15 +145,6 @@ def test_500_holes_of_a_panel_within_5_percent_of_the_bound(kind: str) -> None:
     found = route(curved(PANELS[kind], 1))
     assert 480 <= len(found.order) <= 500
     assert 1.0 <= found.travel_mm / found.bound_mm <= 1.05
-
-
-@pytest.mark.nightly
-def test_a_lattice_of_single_rows_needs_the_cuts() -> None:
-    """Held and Karp's bound alone would leave more than 5 percent."""
-    points = curved(LATTICE, 0)
-    found = route(points)
-    assert 1.0 <= found.travel_mm / found.bound_mm <= 1.05
-    assert lower_bound(cdist(points, points), found.order) < found.travel_mm / 1.05
 
 
 def test_single_rows_that_meet_need_the_stars() -> None:
@@ -264,13 +254,6 @@ def test_a_star_against_every_tour(handles: int) -> None:
     steps = np.stack([tours, np.roll(tours, -1, axis=1)], axis=-1).reshape(-1, 2)
     left = cut.row(steps).reshape(len(tours), count).sum(axis=1)
     assert left.min() == cut.least == 4 * handles + 6
-
-
-def test_how_much_shares_miss() -> None:
-    cut = nested(1)
-    edges = np.array([[0, 3], [1, 4], [2, 5]])
-    np.testing.assert_array_equal(cut.row(edges), [1, 1, 1])
-    assert cut.missed(edges, np.array([1.0, 1.0, 0.5])) == pytest.approx(7.5)
 
 
 @settings(max_examples=4)
