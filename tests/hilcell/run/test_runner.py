@@ -2,12 +2,15 @@
 
 import signal
 import threading
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import msgspec
 import pytest
 
 from hilcell.errors import facts_of
+from hilcell.journal.index import row_of
 from hilcell.journal.journal import Record, StorageError, read_journal
 from hilcell.journal.log import Log
 from hilcell.model.events import LinkCounted
@@ -15,7 +18,7 @@ from hilcell.ports import DeviceError, DeviceRefused
 from hilcell.run import stopping
 from hilcell.run.cell_session import CellSession
 from hilcell.run.runner import Runner
-from tests.hilcell.run.bed import Bed, broken_beam
+from tests.hilcell.run.bed import PLAN, Bed, broken_beam
 from tests.hilcell.run.rig import Points, hang, procedure
 
 
@@ -186,3 +189,34 @@ def test_an_agreement_holds_for_what_was_asked_last(since: int, refused: bool) -
         log.take(Record(seq, time, "state", "", {"machine": "run", "from": "idle", "to": to}))
     engine: Any = SimpleNamespace(log=log)
     assert bool(Runner.proceed_refusal(engine, since)) is refused
+
+
+# -- a run is a simulated one when its cell is, or when a device says that it is ------------------
+
+
+SHOP = {"name": "shop", "serial": "7", "grid": {"station": "S1"}}
+
+
+def run_of(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, *, cell: bool, device: bool
+) -> tuple[Log, Bed]:
+    monkeypatch.setitem(PLAN, "simulated", cell)
+    monkeypatch.setitem(PLAN, "cell", SHOP)
+    bed = Bed(folder)
+    bed.rail.identity = msgspec.structs.replace(bed.rail.identity, simulated=device)
+    for other in (bed.robot, bed.tracker):
+        monkeypatch.setattr(other, "connect", list)
+    assert bed.run(procedure(Points(1))) == 0
+    return bed.log(), bed
+
+
+@pytest.mark.parametrize(
+    ("cell", "device"), [(False, False), (False, True), (True, False), (True, True)]
+)
+def test_what_a_device_says_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cell: bool, device: bool
+) -> None:
+    log, bed = run_of(tmp_path, monkeypatch, cell=cell, device=device)
+    assert log.inputs.simulated is (cell or device)
+    assert row_of(tmp_path).simulated is (cell or device)
+    assert bed.records("plan")[0].body["simulated"] is cell  # frozen
