@@ -7,12 +7,12 @@ import socket
 import threading
 from collections.abc import Callable, Iterator
 from types import ModuleType
-from typing import Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import pytest
 
 from hilcell.clock import WallClock
-from hilcell.ports import DeviceError, Stopped
+from hilcell.ports import DeviceError, Identity, Stopped
 from tests.clocks import DrivenClock
 from tests.fakes.wires import exactly
 
@@ -173,17 +173,39 @@ def in_thread(act: Callable[[], object], *errors: type[Exception]) -> Iterator[l
     thread.join()
 
 
-class Closing(Protocol):
+class Device(Protocol):
+    """What each driver has."""
+
+    def connect(self) -> list[Identity]: ...
+
     def close(self) -> None: ...
 
 
-D = TypeVar("D", bound=Closing)
+P = TypeVar("P")
+D = TypeVar("D", bound=Device)
 
 
-def closed_behind(build: Callable[..., D]) -> Iterator[Callable[..., D]]:
-    """Yield ``build``, and close all devices that it has built."""
-    with contextlib.ExitStack() as stack:
-        yield lambda **options: stack.enter_context(contextlib.closing(build(**options)))
+class Bed(Generic[P, D]):
+    """A peer, its time, and devices at it; behind the test they are closed, as far as they can."""
+
+    def __init__(self, peer: P, time: WireTime, build: Callable[..., D]) -> None:
+        self.peer, self.time, self._build = peer, time, build
+        self._devices: list[D] = []
+
+    def make(self, **options: Any) -> D:
+        """Return a device, not connected."""
+        self._devices.append(self._build(self.peer, self.time, **options))
+        return self._devices[-1]
+
+    def connect(self, **options: Any) -> D:
+        device = self.make(**options)
+        device.connect()
+        return device
+
+    def close(self) -> None:
+        for device in self._devices:
+            with contextlib.suppress(DeviceError, Stopped):
+                device.close()
 
 
 def refusal(act: Callable[[], object]) -> DeviceError:

@@ -1,18 +1,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import suppress
-from typing import Any
+from contextlib import closing
 
 import pytest
 
 from drivers import slide, supervision
 from drivers.canopen import can_link, drive, nodes, sdo, slcan_bus
 from drivers.canopen import rail as canopen_rail
-from drivers.canopen.rail import CanopenRail
-from hilcell.ports import DeviceError
 from tests.drivers.canopen.can_peer import CanPeer
-from tests.drivers.canopen.rail_bed import Connect, RailTime, rail_for
+from tests.drivers.canopen.rail_bed import BedRail, RailBed, RailTime
 
 
 @pytest.fixture
@@ -43,22 +40,11 @@ def time(monkeypatch: pytest.MonkeyPatch, peer: CanPeer) -> RailTime:
 
 
 @pytest.fixture
-def connect(peer: CanPeer, time: RailTime) -> Iterator[Connect]:
-    """Connect rails; behind the test they are closed, as far as their links still work."""
-    rails: list[CanopenRail] = []
-
-    def connected(**options: Any) -> CanopenRail:
-        rails.append(rail_for(peer, time, **options))
-        rails[-1].connect()
-        return rails[-1]
-
-    yield connected
-    time.silence()
-    for rail in rails:
-        with suppress(DeviceError):
-            rail.close()
+def bed(peer: CanPeer, time: RailTime) -> Iterator[RailBed]:
+    with closing(RailBed(peer, time, BedRail)) as bed:
+        yield bed
 
 
 @pytest.fixture
-def rail(connect: Connect) -> CanopenRail:
-    return connect()
+def rail(bed: RailBed) -> BedRail:
+    return bed.connect()

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import select
-from collections.abc import Callable
 from typing import Any
 
 from drivers.canopen import can_link
 from drivers.canopen.rail import CanopenRail
 from hilcell.ports import Clock
 from tests.drivers.canopen.can_peer import CanPeer
-from tests.drivers.peers import A_LOOK_S, WireTime
-
-Connect = Callable[..., CanopenRail]
+from tests.drivers.peers import A_LOOK_S, Bed, WireTime
 
 
 class RailTime(WireTime):
@@ -40,13 +37,31 @@ class RailTime(WireTime):
         return ready
 
 
-def rail_for(peer: CanPeer, clock: Clock, **options: Any) -> CanopenRail:
-    values: dict[str, Any] = {
-        "channel": peer.channel,
-        "travel_min_mm": 0.0,
-        "travel_max_mm": 3000.0,
-        "speed_mm_s": 250.0,
-        "acceleration_mm_s2": 200.0,
-        "standstill_dwell_s": 0.05,
-    }
-    return CanopenRail(CanopenRail.Options(**(values | options)), clock)
+class BedRail(CanopenRail):
+    """A rail at its peer."""
+
+    def __init__(
+        self, peer: CanPeer, time: WireTime, clock: Clock | None = None, **options: Any
+    ) -> None:
+        values: dict[str, Any] = {
+            "channel": peer.channel,
+            "travel_min_mm": 0.0,
+            "travel_max_mm": 3000.0,
+            "speed_mm_s": 250.0,
+            "acceleration_mm_s2": 200.0,
+            "standstill_dwell_s": 0.05,
+        }
+        super().__init__(CanopenRail.Options(**(values | options)), clock or time)
+        self.peer, self.time = peer, time
+
+
+class RailBed(Bed[CanPeer, BedRail]):
+    def moved(self, **options: Any) -> BedRail:
+        """Return a rail that was moved: its drive has power."""
+        rail = self.connect(**options)
+        rail.move_to(600.0)
+        return rail
+
+    def close(self) -> None:
+        self.time.silence()
+        super().close()

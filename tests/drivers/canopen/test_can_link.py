@@ -17,11 +17,9 @@ from drivers.canopen import can_link
 from drivers.canopen.can_link import CanLink, LinkTime, heartbeat_period_s, open_bus
 from drivers.canopen.nodes import PC_HEARTBEAT_LIMIT_MS
 from drivers.canopen.process_image import STALE_S
-from drivers.canopen.rail import CanopenRail
 from hilcell.run.engine import SWITCH_S
 from tests.clocks import DrivenClock
-from tests.drivers.canopen.can_peer import CanPeer
-from tests.drivers.canopen.rail_bed import Connect, RailTime, rail_for
+from tests.drivers.canopen.rail_bed import BedRail, RailBed
 from tests.drivers.peers import figure, in_thread, refusal, soon, wall_clock
 
 
@@ -66,35 +64,30 @@ def pausing(monkeypatch: pytest.MonkeyPatch, pause: Callable[[], None]) -> threa
     ],
 )
 def test_an_answer_that_waits_in_a_late_pc_is_no_missing_answer(
-    peer: CanPeer,
-    connect: Connect,
-    time: RailTime,
-    monkeypatch: pytest.MonkeyPatch,
-    ask: Callable[[CanopenRail], object],
-    question: int,
+    bed: RailBed, monkeypatch: pytest.MonkeyPatch, ask: Callable[[BedRail], object], question: int
 ) -> None:
     now = DrivenClock()
     monkeypatch.setattr(can_link, "time", SimpleNamespace(monotonic=now.now_s))
     monkeypatch.setattr(can_link.LinkTime, "PAUSE_S", 0.1)
     pauses = pausing(monkeypatch, lambda: now.wait(3600.0))
-    rail = connect()
-    asked = len(peer.frames(question))
+    rail = bed.connect()
+    asked = len(bed.peer.frames(question))
     pauses.set()
     ask(rail)
-    assert len(peer.frames(question)) == asked + 1
+    assert len(bed.peer.frames(question)) == asked + 1
 
 
 def test_a_reading_that_has_waited_in_a_late_pc_is_asked_for_again(
-    peer: CanPeer, connect: Connect, time: RailTime, monkeypatch: pytest.MonkeyPatch
+    bed: RailBed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pauses = pausing(monkeypatch, lambda: time.wait(0.4))
-    rail = connect()
-    began = len(peer.frames(0x080))
-    peer.on_sync = lambda: pauses.set() if len(peer.frames(0x080)) == began + 1 else None
+    pauses = pausing(monkeypatch, lambda: bed.time.wait(0.4))
+    rail = bed.connect()
+    began = len(bed.peer.frames(0x080))
+    bed.peer.on_sync = lambda: pauses.set() if len(bed.peer.frames(0x080)) == began + 1 else None
     assert rail._image is not None
     reading = rail._image.refresh(lambda: None)
-    assert time.pc_s() - reading.taken_s <= STALE_S
-    assert len(peer.frames(0x080)) == began + 2
+    assert bed.time.pc_s() - reading.taken_s <= STALE_S
+    assert len(bed.peer.frames(0x080)) == began + 2
 
 
 BUSY_S = 0.6
@@ -125,8 +118,9 @@ def switching() -> Iterator[None]:
 @pytest.mark.usefixtures("switching")
 @pytest.mark.parametrize("load", [[hold_the_interpreter], [spin] * 4])
 def test_a_busy_interpreter_neither_loses_the_drive_nor_the_motion(
-    peer: CanPeer, connect: Connect, load: list[Callable[[], None]], monkeypatch: pytest.MonkeyPatch
+    bed: RailBed, load: list[Callable[[], None]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    peer = bed.peer
     moves, let_go, original = threading.Event(), threading.Event(), peer._frame
     beats_s: list[float] = []
 
@@ -152,7 +146,7 @@ def test_a_busy_interpreter_neither_loses_the_drive_nor_the_motion(
 
     monkeypatch.setattr(peer, "_frame", note)
     peer.on_sync = hold
-    rail = rail_for(peer, wall_clock())
+    rail = BedRail(peer, bed.time, wall_clock())
     rail.connect()
     beats_s.append(real_time.monotonic())
     with in_thread(work):
@@ -164,51 +158,49 @@ def test_a_busy_interpreter_neither_loses_the_drive_nor_the_motion(
 
 
 def test_a_worker_that_hangs_in_motion_is_named_and_the_slide_stopped(
-    peer: CanPeer, connect: Connect, time: RailTime, monkeypatch: pytest.MonkeyPatch
+    bed: RailBed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    wait = time.wait
+    wait = bed.time.wait
 
     def hang(duration_s: float) -> None:
         wait(duration_s)
-        if peer.axis.steps:
-            time.pc_at_s += 0.9
+        if bed.peer.axis.steps:
+            bed.time.pc_at_s += 0.9
 
-    monkeypatch.setattr(time, "wait", hang)
-    rail = connect()
+    monkeypatch.setattr(bed.time, "wait", hang)
+    rail = bed.connect()
     error = refusal(lambda: rail.move_to(1100.0))
     assert (error.code, error.fields["limit_s"]) == ("HC-R39", 0.8)
     assert 0.9 <= figure(error, "gap_s") < 1.0
-    peer.quick_stopped.wait()
+    bed.peer.quick_stopped.wait()
 
 
-def test_the_heartbeat_pauses_while_the_motion_is_unattended(peer: CanPeer) -> None:
+def test_the_heartbeat_pauses_while_the_motion_is_unattended(bed: RailBed) -> None:
     asked, attended = count(), threading.Event()
 
     def attends() -> bool:
         next(asked)
         return attended.is_set()
 
-    link = CanLink(open_bus("slcan", peer.channel, 500_000), DrivenClock())
+    link = CanLink(open_bus("slcan", bed.peer.channel, 500_000), DrivenClock())
     link.start_heartbeat(127, attends, can_link.heartbeat_period_s(1_000_000))
     soon(lambda: next(asked) > 10)  # its own looks count, too
-    assert len(peer.frames(BEAT)) <= 1
+    assert len(bed.peer.frames(BEAT)) <= 1
     attended.set()
-    soon(lambda: len(peer.frames(BEAT)) > 3)
+    soon(lambda: len(bed.peer.frames(BEAT)) > 3)
     link.close()
 
 
-def test_nothing_is_started_by_a_reading_that_is_old(
-    peer: CanPeer, rail: CanopenRail, time: RailTime
-) -> None:
+def test_nothing_is_started_by_a_reading_that_is_old(rail: BedRail) -> None:
     image = rail._image
     assert image is not None
     image.refresh(lambda: None)
-    time.pc_at_s += 0.6
-    sent = len(peer.frames(0x205))
+    rail.time.pc_at_s += 0.6
+    sent = len(rail.peer.frames(0x205))
     error = refusal(lambda: image.control(0x000F))
     assert (error.code, error.fields["limit_s"]) == ("HC-R39", 0.5)
     assert error.fields["age_s"] == pytest.approx(0.6)
-    assert len(peer.frames(0x205)) == sent
+    assert len(rail.peer.frames(0x205)) == sent
     image.control(0x0000)  # a word that takes the power away always goes out
 
 
@@ -222,21 +214,21 @@ def test_heartbeats_leave_a_slow_bus_its_time(bitrate: int, period_s: float) -> 
 
 @pytest.mark.parametrize(("pause_s", "code"), [(2.0, "HC-R44"), (0.0, "HC-R25")])
 def test_a_pause_of_the_pc_is_named_before_what_the_drive_reports_of_it(
-    peer: CanPeer, connect: Connect, monkeypatch: pytest.MonkeyPatch, pause_s: float, code: str
+    bed: RailBed, monkeypatch: pytest.MonkeyPatch, pause_s: float, code: str
 ) -> None:
     """A heartbeat that was lost on the wire is the drive's word."""
     monkeypatch.setattr(CanLink, "pause_s", pause_s)
-    rail = connect()
-    peer.send(0x085, struct.pack("<HB5x", 0x8130, 0x11))
+    rail = bed.connect()
+    bed.peer.send(0x085, struct.pack("<HB5x", 0x8130, 0x11))
     assert refusal(lambda: soon(lambda: not rail.read().still)).code == code
 
 
 def test_a_pause_is_remembered_for_a_while_only(
-    peer: CanPeer, monkeypatch: pytest.MonkeyPatch
+    bed: RailBed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = DrivenClock()
     monkeypatch.setattr(can_link, "time", SimpleNamespace(monotonic=now.now_s))
-    link = CanLink(open_bus("slcan", peer.channel, 500_000), now)
+    link = CanLink(open_bus("slcan", bed.peer.channel, 500_000), now)
     for pause_s in (0.05, 2.0, 0.05):
         now.at_s += pause_s
         link._send_beat(BEAT)

@@ -11,11 +11,10 @@ import pytest
 
 from drivers.canopen.motion_guard import Limits, MotionGuard, SpeedBounds, SpeedGuard, Speeds
 from drivers.canopen.process_image import Snapshot
-from drivers.canopen.rail import CanopenRail
 from drivers.slide import ScaleGuard, Windows
 from hilcell.ports import Array
 from tests.drivers.canopen.can_peer import CanPeer
-from tests.drivers.canopen.rail_bed import Connect, RailTime
+from tests.drivers.canopen.rail_bed import BedRail, RailBed, RailTime
 from tests.drivers.peers import figure, refusal
 from tests.whole.bench import sweep
 
@@ -73,13 +72,7 @@ def gone_mm(peer: CanPeer) -> float:
 )
 @pytest.mark.parametrize("homing", [False, True])
 def test_a_drive_in_another_unit_is_stopped_in_its_first_motion_and_named_with_its_factor(
-    peer: CanPeer,
-    rail: CanopenRail,
-    runs: Runs,
-    unit: float,
-    true_mm_s: float,
-    stops_mm: float,
-    homing: bool,
+    rail: BedRail, runs: Runs, unit: float, true_mm_s: float, stops_mm: float, homing: bool
 ) -> None:
     runs(unit, most=500_000.0, ramp=2_000_000.0)
     error = refusal(rail.home if homing else lambda: rail.move_to(2500.0))
@@ -88,28 +81,26 @@ def test_a_drive_in_another_unit_is_stopped_in_its_first_motion_and_named_with_i
     assert 0.0 < figure(error, "speed_mm_s") < true_mm_s
     ratio = figure(error, "speed_mm_s") / figure(error, "drive_speed_mm_s")
     assert ratio == pytest.approx(figure(error, "factor"))
-    peer.quick_stopped.wait()
-    speed_mm_s = peer.axis.speed * unit / 1000.0
-    assert 0.0 < gone_mm(peer) + speed_mm_s**2 / 2 / RAMP_MM_S2 < stops_mm
+    rail.peer.quick_stopped.wait()
+    speed_mm_s = rail.peer.axis.speed * unit / 1000.0
+    assert 0.0 < gone_mm(rail.peer) + speed_mm_s**2 / 2 / RAMP_MM_S2 < stops_mm
 
 
-def test_a_drive_in_the_right_unit_is_not_stopped(rail: CanopenRail, runs: Runs) -> None:
+def test_a_drive_in_the_right_unit_is_not_stopped(rail: BedRail, runs: Runs) -> None:
     runs()
     rail.home()
     rail.move_to(1500.0)
     assert rail.read().position_mm == 1500.0
 
 
-def test_a_slide_that_is_too_fast_by_its_positions_is_stopped(
-    peer: CanPeer, rail: CanopenRail, runs: Runs
-) -> None:
+def test_a_slide_that_is_too_fast_by_its_positions_is_stopped(rail: BedRail, runs: Runs) -> None:
     """By 1.35: its drive says less, within the 1.5 of a unit that is right."""
     runs(1.35, most=337_500.0)
     error = refusal(lambda: rail.move_to(2500.0))
     assert error.code == "HC-R33"
     assert figure(error, "allowed_mm_s") == pytest.approx(300.0)
     assert 300.0 < figure(error, "speed_mm_s") < 340.0
-    peer.quick_stopped.wait()
+    rail.peer.quick_stopped.wait()
 
 
 @pytest.mark.parametrize("homing", [False, True])
@@ -122,40 +113,34 @@ def test_a_slide_that_is_too_fast_by_its_positions_is_stopped(
     ],
 )
 def test_scales_that_differ_are_named_in_motion(
-    peer: CanPeer,
-    connect: Connect,
-    runs: Runs,
-    option: str,
-    value: float,
-    ratio: float,
-    homing: bool,
+    bed: RailBed, runs: Runs, option: str, value: float, ratio: float, homing: bool
 ) -> None:
     if option.startswith("strip"):
-        del peer.objects[6][0x6005, 1]  # it does not tell its step
-        peer.abort[0x6005, 0] = 0x06020000
-    rail = connect(**{option: value})
+        del bed.peer.objects[6][0x6005, 1]  # it does not tell its step
+        bed.peer.abort[0x6005, 0] = 0x06020000
+    rail = bed.connect(**{option: value})
     runs()
     error = refusal(rail.home if homing else lambda: rail.move_to(1250.0))
     assert error.code == "HC-R47"
     assert figure(error, "ratio") == pytest.approx(ratio, rel=0.01)
     assert figure(error, "drive_mm") * (-1 if homing else 1) > 0.0
-    peer.quick_stopped.wait()
-    assert gone_mm(peer) < 250.0
+    bed.peer.quick_stopped.wait()
+    assert gone_mm(bed.peer) < 250.0
 
 
 @pytest.mark.parametrize("homing", [False, True])
 def test_scales_that_differ_are_named_by_three_looks_at_a_motion(
-    peer: CanPeer, connect: Connect, homing: bool
+    bed: RailBed, homing: bool
 ) -> None:
     """As a simulated cell moves; homing sets the reference by the last one."""
-    rail = connect(counts_per_mm=2000.0)
+    rail = bed.connect(counts_per_mm=2000.0)
     error = refusal(rail.home if homing else lambda: rail.move_to(1250.0))
     assert error.code == "HC-R47"
     assert figure(error, "ratio") == pytest.approx(2.0, rel=0.01)
 
 
 def test_a_speed_that_is_only_shown_in_another_unit_is_no_overspeed(
-    rail: CanopenRail, runs: Runs
+    rail: BedRail, runs: Runs
 ) -> None:
     """606Ch in 0.1 counts/s of a drive that obeys 6081h in counts/s."""
     runs(shown=0.1)
@@ -166,34 +151,34 @@ def test_a_speed_that_is_only_shown_in_another_unit_is_no_overspeed(
 
 @pytest.mark.parametrize("at", ["start", "way"])
 def test_a_slide_that_slips_or_a_strip_that_jumps_is_no_matter_of_scale(
-    rail: CanopenRail, runs: Runs, peer: CanPeer, at: str
+    rail: BedRail, runs: Runs, at: str
 ) -> None:
     runs()
 
     def jump() -> None:
-        if peer.axis.steps and (at == "start" or gone_mm(peer) > 100.0):
-            peer.strip_offset = 8000
+        if rail.peer.axis.steps and (at == "start" or gone_mm(rail.peer) > 100.0):
+            rail.peer.strip_offset = 8000
 
-    peer.on_sync = jump
+    rail.peer.on_sync = jump
     rail.move_to(1500.0)
     assert rail.read().strip_mm == 1580.0
 
 
 @pytest.mark.parametrize("polls", [3, 10_000])
 def test_a_strip_that_is_frozen_is_no_matter_of_scale(
-    rail: CanopenRail, runs: Runs, peer: CanPeer, polls: int
+    rail: BedRail, runs: Runs, polls: int
 ) -> None:
     """Where it stays so, the run finds that once the slide stands."""
     runs()
     frozen: list[bytes] = []
 
     def freeze(line: bytes) -> list[bytes]:
-        if line.startswith(b"t186") and gone_mm(peer) > 100.0 and len(frozen) < polls:
+        if line.startswith(b"t186") and gone_mm(rail.peer) > 100.0 and len(frozen) < polls:
             frozen.append(frozen[0] if frozen else line)
             return frozen[-1:]
         return [line]
 
-    peer.tamper = freeze
+    rail.peer.tamper = freeze
     rail.move_to(1500.0)
     assert len(frozen) >= 3
 

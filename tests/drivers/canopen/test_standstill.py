@@ -12,13 +12,12 @@ from drivers import slide, supervision
 from drivers.canopen import drive
 from drivers.canopen import rail as canopen_rail
 from drivers.canopen.process_image import Snapshot
-from drivers.canopen.rail import CanopenRail
 from drivers.slide import Rest, Standstill, Windows
 from drivers.supervision import Watchdog
 from hilcell.cell.file import load_cell
 from hilcell.run.interlocks import ROBOT_BLOCKED, Blocked, check_held
 from tests.drivers.canopen.can_peer import DISABLED, DRIVE, ENABLED, CanPeer, u16, u32
-from tests.drivers.canopen.rail_bed import Connect, RailTime
+from tests.drivers.canopen.rail_bed import BedRail, RailBed
 from tests.drivers.peers import figure, refusal
 
 WINDOWS = Windows(speed=500.0, spread=10, strip_spread=2, dwell_s=0.25)
@@ -139,11 +138,10 @@ def peer(peer: CanPeer) -> CanPeer:
     return peer
 
 
-def test_a_servo_that_hunts_connects_homes_moves_settles_holds_and_closes(
-    peer: CanPeer, connect: Connect, time: RailTime
-) -> None:
+def test_a_servo_that_hunts_connects_homes_moves_settles_holds_and_closes(bed: RailBed) -> None:
+    peer = bed.peer
     peer.axis.state, peer.axis.mode = ENABLED, 1  # left with its power on
-    rail = connect()
+    rail = bed.connect()
     assert peer.axis.state != ENABLED
     rail.home()
     rail.move_to(700.0)
@@ -161,18 +159,16 @@ def test_a_servo_that_hunts_connects_homes_moves_settles_holds_and_closes(
 
 
 @pytest.mark.parametrize("powered", [True, False])
-def test_a_slide_that_creeps_is_refused(
-    peer: CanPeer, connect: Connect, time: RailTime, powered: bool
-) -> None:
-    rail = connect(standstill_dwell_s=0.4)
+def test_a_slide_that_creeps_is_refused(bed: RailBed, powered: bool) -> None:
+    rail = bed.connect(standstill_dwell_s=0.4)
     if powered:
-        peer.axis.state = ENABLED
-    began_s, start = time.now_s(), peer.axis.position
+        bed.peer.axis.state = ENABLED
+    began_s, start = bed.time.now_s(), bed.peer.axis.position
 
     def creep() -> None:
-        peer.axis.position = start + round(1000.0 * 0.05 * (time.now_s() - began_s))
+        bed.peer.axis.position = start + round(1000.0 * 0.05 * (bed.time.now_s() - began_s))
 
-    peer.on_sync = creep
+    bed.peer.on_sync = creep
     assert refusal(rail.settle).code == "HC-S06"
     reading = rail.read()
     assert not reading.still
@@ -181,11 +177,9 @@ def test_a_slide_that_creeps_is_refused(
         check_held(load_cell("paper"), reading, None, ROBOT_BLOCKED)
 
 
-def test_a_strip_that_creeps_alone_is_refused(
-    peer: CanPeer, rail: CanopenRail, time: RailTime
-) -> None:
-    peer.jitter = 1
-    peer.on_sync = lambda: setattr(peer, "strip_offset", round(80 * time.now_s()))
+def test_a_strip_that_creeps_alone_is_refused(rail: BedRail) -> None:
+    rail.peer.jitter = 1
+    rail.peer.on_sync = lambda: setattr(rail.peer, "strip_offset", round(80 * rail.time.now_s()))
     assert refusal(rail.settle).code == "HC-S06"
     assert not rail.read().still
 
@@ -195,63 +189,59 @@ def test_a_strip_that_creeps_alone_is_refused(
     [("standstill_speed_mm_s", 0.05, "speed_mm_s"), ("standstill_window_mm", 0.002, "spread_mm")],
 )
 def test_a_window_too_narrow_for_this_servo_is_named_with_its_option(
-    peer: CanPeer, connect: Connect, option: str, limit: float, field: str
+    bed: RailBed, option: str, limit: float, field: str
 ) -> None:
-    rail = connect(**{option: limit})
+    rail = bed.connect(**{option: limit})
     error = refusal(lambda: rail.move_to(700.0))
     assert error.code == "HC-R43"
     assert figure(error, field) > limit
     assert option in error.act
-    assert abs(peer.axis.position - 700_000) < 10
+    assert abs(bed.peer.axis.position - 700_000) < 10
 
 
-def test_a_long_dwell_is_no_lack_of_progress(
-    peer: CanPeer, connect: Connect, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_long_dwell_is_no_lack_of_progress(bed: RailBed, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(slide.Windows, "LONGEST_PAUSE_S", 0.01)
     monkeypatch.setattr(drive.Drive, "STALL_S", 0.1)
     monkeypatch.setattr(canopen_rail.Release, "RELEASE_S", 0.1)
-    rail = connect(standstill_dwell_s=0.3)
+    rail = bed.connect(standstill_dwell_s=0.3)
     rail.move_to(700.0)
     assert rail.settle().still
     rail.close()
-    assert peer.axis.state == DISABLED
+    assert bed.peer.axis.state == DISABLED
 
 
-def test_a_slide_at_rest_is_confirmed_by_one_poll(peer: CanPeer, rail: CanopenRail) -> None:
+def test_a_slide_at_rest_is_confirmed_by_one_poll(rail: BedRail) -> None:
     assert rail.read().still
-    before = len(peer.frames(0x080))
+    before = len(rail.peer.frames(0x080))
     assert all(rail.read().still for _ in range(10))
-    assert len(peer.frames(0x080)) - before == 10
+    assert len(rail.peer.frames(0x080)) - before == 10
 
 
 def test_a_strip_that_flickers_is_read_by_its_median_and_one_that_moves_is_detected(
-    peer: CanPeer, rail: CanopenRail
+    rail: BedRail,
 ) -> None:
     flicker = iter([0, 1, 0, -1] * 1000)
     moved = 0
-    peer.on_sync = lambda: setattr(peer, "strip_offset", moved + next(flicker))
+    rail.peer.on_sync = lambda: setattr(rail.peer, "strip_offset", moved + next(flicker))
     assert {rail.read().strip_mm for _ in range(20)} == {500.0}
     moved = 3
     assert rail.read().strip_mm == 500.03
 
 
-def test_drive_and_strip_are_medians_of_the_same_readings(peer: CanPeer, rail: CanopenRail) -> None:
+def test_drive_and_strip_are_medians_of_the_same_readings(rail: BedRail) -> None:
     rail.read()
     steps = iter([0, 6, 0, 6, 6])
-    at = peer.axis.position
-    peer.on_sync = lambda: setattr(peer.axis, "position", at + next(steps, 6))
+    at = rail.peer.axis.position
+    rail.peer.on_sync = lambda: setattr(rail.peer.axis, "position", at + next(steps, 6))
     last = [rail.read() for _ in range(5)][-1]
     assert (last.position_mm, last.strip_mm) == (500.006, 500.0)
 
 
 @pytest.mark.parametrize("stale", [False, True])
-def test_a_drive_that_is_home_within_one_poll_is_believed(
-    peer: CanPeer, rail: CanopenRail, stale: bool
-) -> None:
-    peer.axis.homes_at_once = True
+def test_a_drive_that_is_home_within_one_poll_is_believed(rail: BedRail, stale: bool) -> None:
+    rail.peer.axis.homes_at_once = True
     if stale:
-        peer.axis.mode, peer.axis.bits = 6, 0x1400
+        rail.peer.axis.mode, rail.peer.axis.bits = 6, 0x1400
     rail.home()
     assert rail.read().position_mm == pytest.approx(0.0, abs=0.003)
     rail.move_to(10.0)
@@ -259,8 +249,9 @@ def test_a_drive_that_is_home_within_one_poll_is_believed(
 
 
 def test_a_drive_that_creeps_on_for_ever_ends(
-    peer: CanPeer, rail: CanopenRail, monkeypatch: pytest.MonkeyPatch
+    rail: BedRail, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    peer = rail.peer
     monkeypatch.setattr(supervision.MotionLimits, "MARGIN_S", 0.2)
 
     def crawl() -> None:
@@ -277,18 +268,16 @@ def test_a_drive_that_creeps_on_for_ever_ends(
 DRIVE_WINDOWS = {0x6067: (u32, 50), 0x6068: (u16, 50), 0x606F: (u16, 500), 0x6070: (u16, 50)}
 
 
-def test_the_drives_own_windows_are_set(peer: CanPeer, connect: Connect) -> None:
-    peer.objects[DRIVE] |= {(index, 0): pack(0) for index, (pack, _) in DRIVE_WINDOWS.items()}
-    connect()
+def test_the_drives_own_windows_are_set(bed: RailBed) -> None:
+    bed.peer.objects[DRIVE] |= {(index, 0): pack(0) for index, (pack, _) in DRIVE_WINDOWS.items()}
+    bed.connect()
     for index, (pack, value) in DRIVE_WINDOWS.items():
-        assert peer.objects[DRIVE][index, 0] == pack(value)
+        assert bed.peer.objects[DRIVE][index, 0] == pack(value)
 
 
-def test_a_drive_without_windows_is_no_fault_and_one_that_refuses_them_is(
-    peer: CanPeer, connect: Connect
-) -> None:
+def test_a_drive_without_windows_is_no_fault_and_one_that_refuses_them_is(bed: RailBed) -> None:
     for code in (0x06020000, 0x06090011):
-        peer.abort |= dict.fromkeys(((index, 0) for index in DRIVE_WINDOWS), code)
-        connect().close()
-    peer.abort[0x6067, 0] = 0x06090030
-    assert refusal(connect).fields["abort_code"] == 0x06090030
+        bed.peer.abort |= dict.fromkeys(((index, 0) for index in DRIVE_WINDOWS), code)
+        bed.connect().close()
+    bed.peer.abort[0x6067, 0] = 0x06090030
+    assert refusal(bed.connect).fields["abort_code"] == 0x06090030

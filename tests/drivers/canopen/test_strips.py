@@ -16,7 +16,7 @@ from drivers.strips import LOST, CanopenStrip, SerialStrip, StripOptions, StripR
 from drivers.supervision import ignore_stop
 from hilcell.ports import DeviceRefused, Stopped, StripLost
 from tests.drivers.canopen.can_peer import DISABLED, STRIP, CanPeer, u8, u32
-from tests.drivers.canopen.rail_bed import RailTime, rail_for
+from tests.drivers.canopen.rail_bed import BedRail, RailTime
 from tests.drivers.peers import WireTime, in_thread, refusal, soon
 from tests.drivers.strip_peer import StripPeer
 
@@ -166,7 +166,7 @@ def test_a_stop_ends_the_wait_for_a_bus(
 def test_a_rail_has_drive_and_strip_on_two_buses(peer: CanPeer, time: RailTime) -> None:
     with CanPeer() as drive_bus:
         drive_bus.silent.add(STRIP)
-        rail = rail_for(drive_bus, time, strip=canopen_options(peer), strip_counts_per_mm=3.0)
+        rail = BedRail(drive_bus, time, strip=canopen_options(peer), strip_counts_per_mm=3.0)
         drive_bus.on_sync = lambda: vars(peer.axis).update(
             position=drive_bus.axis.position, passed_s=drive_bus.axis.passed_s
         )
@@ -309,7 +309,7 @@ def test_answers_are_counted_over_a_line_that_was_lost(
 def test_a_rail_has_its_strip_on_a_line(peer: CanPeer, sensor: StripPeer, time: RailTime) -> None:
     sensor.counts = lambda: peer.axis.position // 10
     line = serial_options(sensor.channel)
-    rail = rail_for(peer, time, strip=line, strip_counts_per_mm=3.0)
+    rail = BedRail(peer, time, strip=line, strip_counts_per_mm=3.0)
     drive, strip = rail.connect()
     assert (drive.kind, strip.serial) == ("drive", "1234567")
     rail.home()

@@ -1,19 +1,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import suppress
-from typing import Any
+from contextlib import closing
 
 import pytest
 
 from drivers import slide, supervision
 from drivers.kuka import robot as kuka_robot
 from drivers.kuka import robot_c3, robot_eki
-from drivers.kuka.robot_c3 import KukaC3Robot
-from hilcell.ports import DeviceError
-from tests.drivers.kuka.kuka_bed import Connect, robot_for
+from tests.drivers.kuka.kuka_bed import BedRobot, RobotBed
 from tests.drivers.kuka.kuka_peer import KukaPeer
-from tests.drivers.peers import WireTime
+from tests.drivers.peers import Bed, WireTime
 
 
 @pytest.fixture
@@ -39,27 +36,11 @@ def time(monkeypatch: pytest.MonkeyPatch) -> WireTime:
 
 
 @pytest.fixture
-def peer() -> Iterator[KukaPeer]:
-    with KukaPeer() as peer:
-        yield peer
+def bed(time: WireTime) -> Iterator[RobotBed]:
+    with KukaPeer() as peer, closing(Bed(peer, time, BedRobot)) as bed:
+        yield bed
 
 
 @pytest.fixture
-def connect(peer: KukaPeer, time: WireTime) -> Iterator[Connect]:
-    """Connect robots, which are closed behind the test."""
-    robots: list[KukaC3Robot] = []
-
-    def connected(**options: Any) -> KukaC3Robot:
-        robots.append(robot_for(peer, time, **options))
-        robots[-1].connect()
-        return robots[-1]
-
-    yield connected
-    for robot in robots:
-        with suppress(DeviceError):
-            robot.close()
-
-
-@pytest.fixture
-def robot(connect: Connect) -> KukaC3Robot:
-    return connect()
+def robot(bed: RobotBed) -> BedRobot:
+    return bed.connect()

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from drivers.kuka.robot_c3 import KukaC3Robot
 from hilcell.cell.file import Joint
-from hilcell.ports import Clock
 from tests.drivers.kuka.kuka_peer import KukaPeer
+from tests.drivers.peers import Bed, WireTime
 
-Connect = Callable[..., KukaC3Robot]
 JOINTS = [Joint(a_mm=0.0, alpha_deg=0.0, d_mm=0.0, offset_deg=0.0, speed_deg_s=100.0)] * 6
 TARGET_RAD = np.radians([10.0, -80.0, 95.5, -12.25, 33.3, 170.0])
 ALARMS = {
@@ -23,11 +21,18 @@ ALARMS = {
 }  # fmt: skip
 
 
-def robot_for(peer: KukaPeer, clock: Clock, **options: Any) -> KukaC3Robot:
-    values: dict[str, Any] = {
-        "host": "127.0.0.1",
-        "port": peer.server.port,
-        "smr_mm": (98.0, 0.0, 127.0),
-        "joint": JOINTS,
-    }
-    return KukaC3Robot(KukaC3Robot.Options(**(values | options)), clock)
+class BedRobot(KukaC3Robot):
+    """A robot at its peer."""
+
+    def __init__(self, peer: KukaPeer, time: WireTime, **options: Any) -> None:
+        values: dict[str, Any] = {
+            "host": "127.0.0.1",
+            "port": peer.server.port,
+            "smr_mm": (98.0, 0.0, 127.0),
+            "joint": JOINTS,
+        }
+        super().__init__(self.Options(**(values | options)), time)
+        self.peer, self.time = peer, time
+
+
+RobotBed = Bed[KukaPeer, BedRobot]

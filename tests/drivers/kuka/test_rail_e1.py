@@ -12,7 +12,7 @@ from drivers.kuka import robot as kuka_robot
 from drivers.kuka.rail_e1 import KukaE1Rail
 from drivers.strips import StripOptions
 from hilcell.ports import DeviceRefused, Stopped, StripLost
-from tests.drivers.kuka.kuka_bed import ALARMS, TARGET_RAD, robot_for
+from tests.drivers.kuka.kuka_bed import ALARMS, TARGET_RAD, BedRobot
 from tests.drivers.kuka.kuka_peer import KukaPeer
 from tests.drivers.peers import WireTime, refusal
 from tests.drivers.strip_peer import StripPeer
@@ -24,7 +24,7 @@ class Bench:
     def __init__(self, kuka: KukaPeer, strip: StripPeer, time: WireTime) -> None:
         self.kuka, self.strip, self.time = kuka, strip, time
         strip.counts = lambda: round(100.0 * kuka.slide_mm)
-        self.robot = robot_for(kuka, time)
+        self.robot = BedRobot(kuka, time)
         self.rail = self.rail_for()
 
     def rail_for(self, **options: Any) -> KukaE1Rail:

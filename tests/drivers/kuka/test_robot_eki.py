@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Iterator
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from drivers.kuka.robot_eki import KukaEkiRobot
 from hilcell.ports import DeviceError, DeviceRefused, Robot, Stopped, Sweeps
 from tests.drivers.kuka.eki_peer import EkiPeer
 from tests.drivers.kuka.kuka_bed import ALARMS, JOINTS, TARGET_RAD
-from tests.drivers.peers import WireTime, in_thread, refusal
+from tests.drivers.peers import Bed, WireTime, in_thread, refusal
 
 SHORT = b'<RobotState><Command Id="17" Finished_Id="5"/><Pos A1="1.5" A2="nan"/></RobotState>'
 DECLARED = b'<?xml version="1.0" encoding="UTF-8"?>\r\n'
@@ -33,33 +34,37 @@ UNFIT = {
 }  # fmt: skip
 
 
+class BedRobot(KukaEkiRobot):
+    """A robot at its peer."""
+
+    def __init__(self, peer: EkiPeer, time: WireTime, **options: Any) -> None:
+        values: dict[str, Any] = {
+            "host": "127.0.0.1",
+            "port": peer.server.port,
+            "stop_port": peer.stop_server.port,
+            "smr_mm": (98.0, 0.0, 127.0),
+            "joint": JOINTS,
+        }
+        super().__init__(self.Options(**(values | options)), time)
+        self.peer, self.time = peer, time
+
+
+EkiBed = Bed[EkiPeer, BedRobot]
+
+
 @pytest.fixture
-def peer() -> Iterator[EkiPeer]:
-    with EkiPeer() as peer:
-        yield peer
-
-
-def robot_for(peer: EkiPeer, time: WireTime, **options: Any) -> KukaEkiRobot:
-    values: dict[str, Any] = {
-        "host": "127.0.0.1",
-        "port": peer.server.port,
-        "stop_port": peer.stop_server.port,
-        "smr_mm": (98.0, 0.0, 127.0),
-        "joint": JOINTS,
-    }
-    return KukaEkiRobot(KukaEkiRobot.Options(**(values | options)), time)
+def bed(time: WireTime) -> Iterator[EkiBed]:
+    with EkiPeer() as peer, closing(Bed(peer, time, BedRobot)) as bed:
+        yield bed
 
 
 @pytest.fixture
-def robot(peer: EkiPeer, time: WireTime) -> Iterator[KukaEkiRobot]:
-    robot = robot_for(peer, time)
-    robot.connect()
-    yield robot
-    robot.close()
+def robot(bed: EkiBed) -> BedRobot:
+    return bed.connect()
 
 
-def test_identity(peer: EkiPeer, time: WireTime) -> None:
-    robot = robot_for(peer, time)
+def test_identity(bed: EkiBed) -> None:
+    robot, peer = bed.make(), bed.peer
     port: Robot = robot
     assert isinstance(port, Sweeps)
     (identity,) = robot.connect()
@@ -70,14 +75,12 @@ def test_identity(peer: EkiPeer, time: WireTime) -> None:
     assert {command["Type"] for command in peer.commands} == {str(robot_eki.Kind.ASK)}
 
 
-def test_a_move_is_one_document_that_only_its_finished_id_confirms(
-    robot: KukaEkiRobot, peer: EkiPeer
-) -> None:
-    began = len(peer.commands)
+def test_a_move_is_one_document_that_only_its_finished_id_confirms(robot: BedRobot) -> None:
+    began = len(robot.peer.commands)
     reading = robot.move_to(TARGET_RAD, 30.0)
     np.testing.assert_allclose(reading.joints_rad, TARGET_RAD, atol=1e-8)
     assert reading.still
-    look, motion, *others = peer.commands[began:]
+    look, motion, *others = robot.peer.commands[began:]
     assert look["Type"] == str(robot_eki.Kind.ASK)
     moved = {"Id": "8", "Type": str(robot_eki.Kind.MOVE), "Percent": "30"}
     assert moved | {"A3": "95.500000", "Life": "1500"} == {
@@ -89,14 +92,14 @@ def test_a_move_is_one_document_that_only_its_finished_id_confirms(
 
 @pytest.mark.parametrize(("name", "value"), UNFIT.items())
 def test_a_wrong_state_refuses_to_connect_and_ends_a_motion(
-    peer: EkiPeer, time: WireTime, name: str, value: str
+    bed: EkiBed, name: str, value: str
 ) -> None:
+    peer = bed.peer
     good, peer.variables[name] = peer.variables[name], value
-    error = refusal(robot_for(peer, time).connect)
+    error = refusal(bed.make().connect)
     assert (type(error), error.code) == (DeviceRefused, ALARMS[name])
     peer.variables[name] = good
-    robot = robot_for(peer, time)
-    robot.connect()
+    robot = bed.connect()
     peer.variables[name] = value
     assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == ALARMS[name]
     assert peer.variables["HC_SEQ"] == "7", "no motion was ordered"
@@ -107,13 +110,13 @@ def test_a_wrong_state_refuses_to_connect_and_ends_a_motion(
     peer.stopped.wait()
 
 
-def test_a_program_with_other_documents_is_refused(peer: EkiPeer, time: WireTime) -> None:
-    peer.variables["HE_VER"] = "2"
-    error = refusal(robot_for(peer, time).connect)
+def test_a_program_with_other_documents_is_refused(bed: EkiBed) -> None:
+    bed.peer.variables["HE_VER"] = "2"
+    error = refusal(bed.make().connect)
     assert (type(error), error.code) == (DeviceRefused, "HC-B17")
 
 
-def test_answers_in_pieces_and_twice_in_a_packet(robot: KukaEkiRobot, peer: EkiPeer) -> None:
+def test_answers_in_pieces_and_twice_in_a_packet(robot: BedRobot) -> None:
     former: list[bytes] = [b""]
 
     def glue(_number: int, answer: bytes) -> list[bytes]:
@@ -121,7 +124,7 @@ def test_answers_in_pieces_and_twice_in_a_packet(robot: KukaEkiRobot, peer: EkiP
         whole = before + answer
         return [whole[:700], whole[700:]]
 
-    peer.spoil = glue
+    robot.peer.spoil = glue
     assert robot.move_to(TARGET_RAD, 30.0).still
 
 
@@ -135,111 +138,102 @@ def test_answers_in_pieces_and_twice_in_a_packet(robot: KukaEkiRobot, peer: EkiP
         ([], "HC-B02"),
     ],
 )
-def test_bad_answers_by_policy(
-    robot: KukaEkiRobot, peer: EkiPeer, time: WireTime, answers: list[bytes], code: str
-) -> None:
-    peer.spoil = lambda _number, _answer: answers
+def test_bad_answers_by_policy(robot: BedRobot, answers: list[bytes], code: str) -> None:
+    robot.peer.spoil = lambda _number, _answer: answers
     if code == "HC-B02":
-        time.silence(0.1)
+        robot.time.silence(0.1)
     assert refusal(robot.read).code == code
 
 
-def test_an_answer_with_another_id_is_never_used(
-    robot: KukaEkiRobot, peer: EkiPeer, time: WireTime
-) -> None:
-    peer.spoil = lambda number, answer: [answer.replace(f'"{number}"'.encode(), b'"-12"')]
-    time.silence(0.1)
+def test_an_answer_with_another_id_is_never_used(robot: BedRobot) -> None:
+    robot.peer.spoil = lambda number, answer: [answer.replace(f'"{number}"'.encode(), b'"-12"')]
+    robot.time.silence(0.1)
     assert refusal(robot.read).code == "HC-B02"
 
 
-def test_not_a_number_is_an_error(robot: KukaEkiRobot, peer: EkiPeer) -> None:
-    peer.pose = peer.pose.replace("1620.5", "NaN")
+def test_not_a_number_is_an_error(robot: BedRobot) -> None:
+    robot.peer.pose = robot.peer.pose.replace("1620.5", "NaN")
     assert refusal(robot.read).code == "HC-B26"
 
 
-def test_a_stop_gets_through_while_a_call_hangs(
-    robot: KukaEkiRobot, peer: EkiPeer, time: WireTime
-) -> None:
+def test_a_stop_gets_through_while_a_call_hangs(robot: BedRobot) -> None:
     asked = threading.Event()
 
     def hang(_number: int, _answer: bytes) -> list[bytes]:
         asked.set()
         return []
 
-    peer.spoil = hang
+    robot.peer.spoil = hang
     with in_thread(robot.read, DeviceError) as failures:
         asked.wait()
         robot.stop()
-        peer.stopped.wait()
-        time.silence(0.1)
+        robot.peer.stopped.wait()
+        robot.time.silence(0.1)
     assert [getattr(each, "code", "") for each in failures] == ["HC-B02"]
 
 
 def test_a_dead_channel_of_the_stop_is_noticed_at_rest(
-    peer: EkiPeer, time: WireTime, monkeypatch: pytest.MonkeyPatch
+    bed: EkiBed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(controller.KeepAlive, "IDLE_S", 0.02)
     monkeypatch.setattr(controller.KeepAlive, "PERIOD_S", 0.01)
-    monkeypatch.setattr(controller, "time", time)
-    robot = robot_for(peer, time)
-    robot.connect()
-    peer.stop_server.drop()
-    time.wait(1.0)
+    monkeypatch.setattr(controller, "time", bed.time)
+    robot = bed.connect()
+    bed.peer.stop_server.drop()
+    bed.time.wait(1.0)
     robot.wire()._keeper._thread.join()
     assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == "HC-B02"
     robot.close()
 
 
-def test_a_sweep_lowers_the_override_and_gives_it_back(robot: KukaEkiRobot, peer: EkiPeer) -> None:
+def test_a_sweep_lowers_the_override_and_gives_it_back(robot: BedRobot) -> None:
+    peer = robot.peer
     seen: set[tuple[str, str]] = set()
     peer.moved = lambda: seen.add((peer.variables["$OV_PRO"], peer.variables["HC_OV_OLD"]))
-    with robot.sweep(0, 0.1, float(np.radians(0.1))) as flyer:
-        flyer.kickoff()
-        sample = flyer.collect()
-        assert flyer.complete().still
+    with robot.sweep(0, 0.1, float(np.radians(0.1))) as moving:
+        moving.kickoff()
+        sample = moving.collect()
+        assert moving.complete().still
     assert sample.before_s <= sample.after_s
     assert seen == {("10", "100")}
     assert (peer.variables["$OV_PRO"], peer.variables["HC_OV_OLD"]) == ("100", "0")
 
 
-def test_a_stop_in_a_sweep_gives_the_override_back_over_the_same_channel(
-    robot: KukaEkiRobot, peer: EkiPeer, time: WireTime
-) -> None:
+def test_a_stop_in_a_sweep_gives_the_override_back_over_the_same_channel(robot: BedRobot) -> None:
     """The controller serves one client a channel: there is no second connection."""
 
     def swept() -> None:
-        with robot.sweep(0, 0.1, float(np.radians(0.1))) as flyer:
-            flyer.kickoff()
-            time.stop.set()
-            flyer.collect()
+        with robot.sweep(0, 0.1, float(np.radians(0.1))) as moving:
+            moving.kickoff()
+            robot.time.stop.set()
+            moving.collect()
 
     with pytest.raises(Stopped):
         swept()
-    assert (peer.variables["$OV_PRO"], peer.variables["HC_STOP"]) == ("100", "TRUE")
+    assert (robot.peer.variables["$OV_PRO"], robot.peer.variables["HC_STOP"]) == ("100", "TRUE")
 
 
 def test_a_channel_that_is_not_yet_open_again_is_tried_for_a_while(
-    peer: EkiPeer, time: WireTime, monkeypatch: pytest.MonkeyPatch
+    bed: EkiBed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(robot_eki, "OPEN_S", 60.0)
     tries = iter([[b"x" * 9000 + b"</RobotState>"]] * 2)
-    peer.spoil = lambda _number, answer: next(tries, [answer])
-    robot = robot_for(peer, time)
-    robot.connect()
+    bed.peer.spoil = lambda _number, answer: next(tries, [answer])
+    robot = bed.connect()
     robot.close()
 
 
-def test_signs_come_from_the_watched_motion_only(robot: KukaEkiRobot, peer: EkiPeer) -> None:
+def test_signs_come_from_the_watched_motion_only(robot: BedRobot) -> None:
     """A connect that waits for a dead engine's motion must not keep it alive."""
-    assert {command["Life"] for command in peer.commands} == {"0"}
-    began = len(peer.commands)
+    assert {command["Life"] for command in robot.peer.commands} == {"0"}
+    began = len(robot.peer.commands)
     robot.move_to(TARGET_RAD, 30.0)
-    look, motion, *others = [command["Life"] for command in peer.commands[began:]]
+    look, motion, *others = [command["Life"] for command in robot.peer.commands[began:]]
     assert (look, motion) == ("0", "1500")
     assert others[:2] == ["1500", "1500"]
     assert set(others[-2:]) == {"0"}
     robot.read()
-    assert peer.commands[-1]["Life"] == "0"
+    assert robot.peer.commands[-1]["Life"] == "0"
 
 
 def test_a_command_has_all_values() -> None:

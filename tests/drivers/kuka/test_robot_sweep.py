@@ -8,11 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.kuka.robot import KukaSweep
-from drivers.kuka.robot_c3 import KukaC3Robot
 from hilcell.ports import JointSample, NoReading, Stopped, Sweep, Sweeps
-from tests.drivers.kuka.kuka_bed import Connect
+from tests.drivers.kuka.kuka_bed import BedRobot, RobotBed
 from tests.drivers.kuka.kuka_peer import KukaPeer
-from tests.drivers.peers import WireTime, refusal
+from tests.drivers.peers import refusal
 
 END_RAD, SLOW_RAD_S = float(np.radians(10.0)), float(np.radians(0.1))  # of 100 deg/s
 
@@ -20,14 +19,14 @@ END_RAD, SLOW_RAD_S = float(np.radians(10.0)), float(np.radians(0.1))  # of 100 
 def sweep(
     robot: Sweeps, meanwhile: Callable[[], object] = lambda: None
 ) -> tuple[Sweep, list[JointSample]]:
-    with robot.sweep(0, END_RAD, SLOW_RAD_S) as flyer:
-        flyer.kickoff()
-        samples = [flyer.collect()]
+    with robot.sweep(0, END_RAD, SLOW_RAD_S) as moving:
+        moving.kickoff()
+        samples = [moving.collect()]
         meanwhile()
-        while not flyer.ended:
-            samples.append(flyer.collect())
-        assert flyer.complete().still
-    return flyer, samples
+        while not moving.ended:
+            samples.append(moving.collect())
+        assert moving.complete().still
+    return moving, samples
 
 
 def override(peer: KukaPeer) -> tuple[str, str]:
@@ -44,13 +43,14 @@ def lose_beam() -> None:
     raise NoReading("HC-T10", "Tracker", "stream", "the beam broke")
 
 
-def test_a_sweep_lowers_the_override_and_gives_it_back(peer: KukaPeer, robot: KukaC3Robot) -> None:
+def test_a_sweep_lowers_the_override_and_gives_it_back(robot: BedRobot) -> None:
+    peer = robot.peer
     seen: list[tuple[str, ...]] = []
     peer.moved = lambda: seen.append((*override(peer), peer.variables["HC_VEL"]))
     assert isinstance(robot, Sweeps)
-    flyer, samples = sweep(robot)
+    moving, samples = sweep(robot)
     assert set(seen) == {("10", "100", "1")}
-    assert flyer.speed_rad_s == pytest.approx(SLOW_RAD_S)
+    assert moving.speed_rad_s == pytest.approx(SLOW_RAD_S)
     assert override(peer) == ("100", "0")
     assert samples[-1].joints_rad[0] > samples[0].joints_rad[0]
     assert np.all(samples[0].joints_rad[1:] == np.radians([-90.0, 90.0, 0.0, 0.0, 0.0]))
@@ -61,109 +61,104 @@ def test_a_sweep_lowers_the_override_and_gives_it_back(peer: KukaPeer, robot: Ku
     assert robot.read().joints_rad[0] == pytest.approx(END_RAD)
 
 
-def test_measured_axes_are_read_where_there_are_any(peer: KukaPeer, connect: Connect) -> None:
-    peer.measures, peer.slip_deg = True, 0.004
-    robot = connect()
+def test_measured_axes_are_read_where_there_are_any(bed: RobotBed) -> None:
+    bed.peer.measures, bed.peer.slip_deg = True, 0.004
+    robot = bed.connect()
     _, samples = sweep(robot)
     assert min(float(np.degrees(each.joints_rad[3])) for each in samples) == pytest.approx(0.004)
 
 
-def test_a_sweep_that_needs_no_lower_override_leaves_it(peer: KukaPeer, robot: KukaC3Robot) -> None:
-    with robot.sweep(0, END_RAD, float(np.radians(5.0))) as flyer:
-        flyer.kickoff()
-        flyer.complete()
-    assert "$OV_PRO" not in writes(peer)
+def test_a_sweep_that_needs_no_lower_override_leaves_it(robot: BedRobot) -> None:
+    with robot.sweep(0, END_RAD, float(np.radians(5.0))) as moving:
+        moving.kickoff()
+        moving.complete()
+    assert "$OV_PRO" not in writes(robot.peer)
 
 
-def test_the_operators_override_is_never_raised(peer: KukaPeer, connect: Connect) -> None:
-    peer.variables["$OV_PRO"] = "7"
-    robot = connect()
-    with robot.sweep(0, END_RAD, SLOW_RAD_S) as flyer:
-        assert np.degrees(flyer.speed_rad_s) == pytest.approx(0.1)  # 2 % of 5 %
-        assert override(peer) == ("5", "7")
-    assert override(peer) == ("7", "0")
+def test_the_operators_override_is_never_raised(bed: RobotBed) -> None:
+    bed.peer.variables["$OV_PRO"] = "7"
+    robot = bed.connect()
+    with robot.sweep(0, END_RAD, SLOW_RAD_S) as moving:
+        assert np.degrees(moving.speed_rad_s) == pytest.approx(0.1)  # 2 % of 5 %
+        assert override(bed.peer) == ("5", "7")
+    assert override(bed.peer) == ("7", "0")
 
 
-def test_left_early_the_robot_is_braked_and_works_again(peer: KukaPeer, robot: KukaC3Robot) -> None:
+def test_left_early_the_robot_is_braked_and_works_again(robot: BedRobot) -> None:
     with pytest.raises(NoReading):
         sweep(robot, lose_beam)
-    assert writes(peer)[-4:] == ["HC_STOP", "$OV_PRO", "HC_OV_OLD", "HC_STOP"]
-    assert override(peer) == ("100", "0")
-    assert peer.variables["HC_STOP"] == "FALSE"
+    assert writes(robot.peer)[-4:] == ["HC_STOP", "$OV_PRO", "HC_OV_OLD", "HC_STOP"]
+    assert override(robot.peer) == ("100", "0")
+    assert robot.peer.variables["HC_STOP"] == "FALSE"
     assert robot.move_to(np.zeros(6), 30.0).still
 
 
-def test_a_stop_brakes_and_gives_back_but_stays(
-    peer: KukaPeer, robot: KukaC3Robot, time: WireTime
-) -> None:
+def test_a_stop_brakes_and_gives_back_but_stays(robot: BedRobot) -> None:
     with pytest.raises(Stopped):
-        sweep(robot, time.stop.set)
-    assert override(peer) == ("100", "0")
-    assert peer.variables["HC_STOP"] == "TRUE"
-    time.stop.clear()
-    time.pc_at_s += 60.0
+        sweep(robot, robot.time.stop.set)
+    assert override(robot.peer) == ("100", "0")
+    assert robot.peer.variables["HC_STOP"] == "TRUE"
+    robot.time.stop.clear()
+    robot.time.pc_at_s += 60.0
     robot.connect()  # is not late for this motion
-    assert peer.variables["HC_STOP"] == "FALSE"
+    assert robot.peer.variables["HC_STOP"] == "FALSE"
 
 
 def test_a_stop_while_a_failed_sweep_is_given_back_does_not_hide_the_failure(
-    peer: KukaPeer, robot: KukaC3Robot, time: WireTime
+    robot: BedRobot,
 ) -> None:
     def fail_and_stop() -> None:
-        time.stop.set()
+        robot.time.stop.set()
         lose_beam()
 
     with pytest.raises(NoReading):
         sweep(robot, fail_and_stop)
-    assert override(peer) == ("100", "0")
+    assert override(robot.peer) == ("100", "0")
 
 
-def test_a_stop_before_the_kickoff_gives_back(
-    peer: KukaPeer, robot: KukaC3Robot, time: WireTime
-) -> None:
+def test_a_stop_before_the_kickoff_gives_back(robot: BedRobot) -> None:
     def prepare() -> None:
         with robot.sweep(0, END_RAD, SLOW_RAD_S):
-            assert override(peer) == ("10", "100")
-            time.stop.set()
+            assert override(robot.peer) == ("10", "100")
+            robot.time.stop.set()
             robot.read()
 
     with pytest.raises(Stopped):
         prepare()
-    assert override(peer) == ("100", "0")
-    assert not peer.stopped.is_set()
+    assert override(robot.peer) == ("100", "0")
+    assert not robot.peer.stopped.is_set()
 
 
 @pytest.mark.parametrize(
     ("name", "value", "code"), [("$ALARM_STOP", "FALSE", "HC-B10"), ("$OV_PRO", "60", "HC-B40")]
 )
-def test_a_fault_in_a_sweep_ends_it(
-    peer: KukaPeer, robot: KukaC3Robot, name: str, value: str, code: str
-) -> None:
-    peer.frozen = True
-    error = refusal(lambda: sweep(robot, lambda: peer.variables.update({name: value})))
+def test_a_fault_in_a_sweep_ends_it(robot: BedRobot, name: str, value: str, code: str) -> None:
+    robot.peer.frozen = True
+    error = refusal(lambda: sweep(robot, lambda: robot.peer.variables.update({name: value})))
     assert error.code == code
-    assert override(peer) == ("60" if name == "$OV_PRO" else "100", "0")
+    assert override(robot.peer) == ("60" if name == "$OV_PRO" else "100", "0")
 
 
 def test_a_robot_that_does_not_come_to_rest_keeps_its_override_low(
-    peer: KukaPeer, robot: KukaC3Robot, time: WireTime, monkeypatch: pytest.MonkeyPatch
+    robot: BedRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write = peer._write
+    write = robot.peer._write
     deaf = "HC_STOP"  # of a controller that takes no stop
     monkeypatch.setattr(
-        peer, "_write", lambda name, text: "TRUE" if name == deaf else write(name, text)
+        robot.peer, "_write", lambda name, text: "TRUE" if name == deaf else write(name, text)
     )
-    time.silence()
+    robot.time.silence()
     with pytest.raises(NoReading) as caught:
         sweep(robot, lose_beam)
-    assert override(peer) == ("10", "100")
+    assert override(robot.peer) == ("10", "100")
     assert len(caught.value.__notes__) == 1
 
 
 @pytest.mark.parametrize("step_deg", [0.5, -0.5])
 def test_the_override_comes_back_only_once_no_axis_moves(
-    peer: KukaPeer, robot: KukaC3Robot, monkeypatch: pytest.MonkeyPatch, step_deg: float
+    robot: BedRobot, monkeypatch: pytest.MonkeyPatch, step_deg: float
 ) -> None:
+    peer = robot.peer
     read, write, left, early = peer._read, peer._write, [4], list[int]()
 
     def braking(name: str) -> str | None:
@@ -193,13 +188,13 @@ def test_the_override_comes_back_only_once_no_axis_moves(
     ],
 )  # fmt: skip
 def test_connect_restores_the_override_of_a_dead_engine_unless_it_was_changed_since(
-    peer: KukaPeer, connect: Connect, left: dict[str, str], found: tuple[str, str], after: list[str]
+    bed: RobotBed, left: dict[str, str], found: tuple[str, str], after: list[str]
 ) -> None:
-    peer.variables |= left
-    connect()
-    assert override(peer) == found
-    assert peer.variables["HC_STOP"] == "FALSE"
-    assert writes(peer) == after
+    bed.peer.variables |= left
+    bed.connect()
+    assert override(bed.peer) == found
+    assert bed.peer.variables["HC_STOP"] == "FALSE"
+    assert writes(bed.peer) == after
 
 
 @pytest.mark.parametrize(
@@ -208,7 +203,7 @@ def test_connect_restores_the_override_of_a_dead_engine_unless_it_was_changed_si
      (0, 0.0, np.nan), (0, 0.0, 0.009)],
 )  # fmt: skip
 def test_an_impossible_sweep_is_refused(
-    robot: KukaC3Robot, axis: int, end_rad: float, speed_deg_s: float
+    robot: BedRobot, axis: int, end_rad: float, speed_deg_s: float
 ) -> None:
     refusal(lambda: robot.sweep(axis, end_rad, float(np.radians(speed_deg_s))))
 

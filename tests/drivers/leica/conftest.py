@@ -1,14 +1,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from contextlib import closing
 
 import pytest
 
 from drivers import supervision
-from tests.drivers.leica.emscon_bed import SMR, Make, Quick
+from tests.drivers.leica.emscon_bed import EmsconBed, Quick
 from tests.drivers.leica.emscon_peer import EmsconPeer
-from tests.drivers.peers import WireTime, closed_behind, wire_time
+from tests.drivers.peers import Bed, WireTime, wire_time
 
 
 @pytest.fixture
@@ -23,25 +23,11 @@ def peer() -> Iterator[EmsconPeer]:
 
 
 @pytest.fixture
-def make(peer: EmsconPeer, time: WireTime) -> Iterator[Make]:
-    """Make trackers, not yet connected, which are closed behind the test."""
-
-    def build(**options: Any) -> Quick:
-        values: dict[str, Any] = {
-            "host": "127.0.0.1",
-            "port": peer.server.port,
-            "reflector": SMR,
-            "max_std_mm": 0.05,
-            "find_radius_mm": 5.0,
-            "reading_s": 0.1,
-        }
-        return Quick(Quick.Options(**(values | options)), time)
-
-    yield from closed_behind(build)
+def bed(peer: EmsconPeer, time: WireTime) -> Iterator[EmsconBed]:
+    with closing(Bed(peer, time, Quick)) as bed:
+        yield bed
 
 
 @pytest.fixture
-def tracker(make: Make) -> Quick:
-    tracker = make()
-    tracker.connect()
-    return tracker
+def tracker(bed: EmsconBed) -> Quick:
+    return bed.connect()

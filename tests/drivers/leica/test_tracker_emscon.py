@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from hilcell.ports import Air, DeviceError, DeviceRefused, NoReading, Stopped, Tracker
-from tests.drivers.leica.emscon_bed import POINT, SMR, Make, Quick, measuring, punctual
+from tests.drivers.leica.emscon_bed import POINT, SMR, EmsconBed, Quick, measuring, punctual
 from tests.drivers.leica.emscon_peer import (
     CLOSING,
     NOT_READY,
@@ -24,12 +24,13 @@ from tests.drivers.leica.emscon_peer import (
     reply,
     result,
 )
-from tests.drivers.peers import Server, WireTime, in_thread, refusal
+from tests.drivers.peers import Server, in_thread, refusal
 
 
-def test_connecting_sets_everything_and_returns_the_identity(peer: EmsconPeer, make: Make) -> None:
+def test_connecting_sets_everything_and_returns_the_identity(bed: EmsconBed) -> None:
+    peer = bed.peer
     peer.initialized = 3
-    tracker = make(serial="390793", find_radius_mm=50.0)
+    tracker = bed.make(serial="390793", find_radius_mm=50.0)
     (identity,) = tracker.connect()
     assert (identity.serial, identity.model) == ("390793", "Leica, emScon 3.8.900")
     assert (identity.kind, identity.maker) == ("tracker", "Leica")
@@ -43,73 +44,71 @@ def test_connecting_sets_everything_and_returns_the_identity(peer: EmsconPeer, m
 
 
 @pytest.mark.parametrize("name", ["AT401", "AT401 (simulated)"])
-def test_a_tracker_reports_its_name(peer: EmsconPeer, make: Make, name: str) -> None:
+def test_a_tracker_reports_its_name(bed: EmsconBed, name: str) -> None:
     field = name.encode("utf-16-le").ljust(64, b"\0")
     body = struct.pack("<I64s", 8, field) + bytes(80)
-    peer.answers[132] = partial(lambda body, _: [reply(132, body)], body)
-    tracker = make()
+    bed.peer.answers[132] = partial(lambda body, _: [reply(132, body)], body)
+    tracker = bed.make()
     (identity,) = tracker.connect()
     assert identity.model == f"Leica {name}, emScon 3.8.900"
     assert identity.simulated is ("simulated" in name)
-    peer.answers[132] = lambda _: [failure(132, 2)]  # it need not have one
+    bed.peer.answers[132] = lambda _: [failure(132, 2)]  # it need not have one
     (identity,) = tracker.connect()
     assert identity.model == "Leica, emScon 3.8.900"
 
 
 @pytest.mark.parametrize("found", [5.001, np.nan, np.inf])
 def test_a_search_radius_that_reads_back_differently_is_refused(
-    peer: EmsconPeer, make: Make, found: float
+    bed: EmsconBed, found: float
 ) -> None:
-    peer.answers[44] = lambda _: [reply(44, struct.pack("<di", found, 10_000))]
-    refused = refusal(make().connect)
+    bed.peer.answers[44] = lambda _: [reply(44, struct.pack("<di", found, 10_000))]
+    refused = refusal(bed.make().connect)
     assert (type(refused), refused.code) == (DeviceRefused, "HC-T06")
 
 
-def test_a_search_radius_that_the_tracker_keeps_in_metres_is_the_same(
-    peer: EmsconPeer, make: Make
-) -> None:
-    peer.answers[44] = lambda _: [reply(44, struct.pack("<di", 0.0499 / 3 * 3 * 1000, 10_000))]
-    tracker = make(find_radius_mm=49.9)
-    tracker.connect()
+def test_a_search_radius_that_the_tracker_keeps_in_metres_is_the_same(bed: EmsconBed) -> None:
+    bed.peer.answers[44] = lambda _: [reply(44, struct.pack("<di", 0.0499 / 3 * 3 * 1000, 10_000))]
+    bed.connect(find_radius_mm=49.9)
 
 
-def test_one_measurement(tracker: Quick, peer: EmsconPeer, time: WireTime) -> None:
+def test_one_measurement(tracker: Quick) -> None:
     port: Tracker = tracker
-    before = len(peer.commands)
-    time.wait(1.0)
+    before = len(tracker.peer.commands)
+    tracker.time.wait(1.0)
     reading = port.measure(POINT, SMR, 1)
     np.testing.assert_array_equal(reading.xyz_mm, POINT)
     np.testing.assert_array_equal(reading.std_mm, [0.0025] * 3)
     assert reading.air == Air(22.5, 1013.25, 45.0)
-    assert (reading.samples, reading.taken_s) == (1, time.pc_s())
-    assert peer.commands[before:] == [55, 49, 41]
+    assert (reading.samples, reading.taken_s) == (1, tracker.time.pc_s())
+    assert tracker.peer.commands[before:] == [55, 49, 41]
 
 
-def test_several_samples_give_mean_and_spread(tracker: Quick, peer: EmsconPeer) -> None:
+def test_several_samples_give_mean_and_spread(tracker: Quick) -> None:
     offsets = iter([-0.01, 0.0, 0.01])
-    peer.answers[49] = lambda _: [reply(49), result(POINT + [next(offsets), 0, 0])]
+    tracker.peer.answers[49] = lambda _: [reply(49), result(POINT + [next(offsets), 0, 0])]
     reading = tracker.measure(POINT, SMR, 3)
     np.testing.assert_allclose(reading.xyz_mm, POINT, atol=1e-12)
     np.testing.assert_allclose(reading.std_mm, [0.01, 0, 0], atol=1e-9)
     assert reading.samples == 3
 
 
-def test_another_reflector_is_chosen_by_name(tracker: Quick, peer: EmsconPeer) -> None:
+def test_another_reflector_is_chosen_by_name(tracker: Quick) -> None:
     tracker.measure(POINT, "SMR 0.5in", 1)
-    assert peer.settings[41] == struct.pack("<i", 4)
+    assert tracker.peer.settings[41] == struct.pack("<i", 4)
 
 
-def test_results_of_an_earlier_measurement_are_dropped(tracker: Quick, peer: EmsconPeer) -> None:
+def test_results_of_an_earlier_measurement_are_dropped(tracker: Quick) -> None:
     late = result(POINT + [1.0, 0, 0])
-    peer.server.send(late)
-    peer.answers[49] = lambda _: [late, reply(49), result(POINT)]
+    tracker.peer.server.send(late)
+    tracker.peer.answers[49] = lambda _: [late, reply(49), result(POINT)]
     np.testing.assert_array_equal(tracker.measure(POINT, SMR, 1).xyz_mm, POINT)
 
 
 @pytest.mark.parametrize("at_once", [True, False])
 def test_a_late_result_behind_the_acknowledgement_is_no_reading(
-    tracker: Quick, peer: EmsconPeer, at_once: bool
+    tracker: Quick, at_once: bool
 ) -> None:
+    peer = tracker.peer
     late, right = result(POINT + [0.003, 0, 0]), result(POINT)
     proof = iter([[reply(41, status=1)], [right, reply(41, peer.settings[41])]])
     peer.answers[49] = lambda _: [reply(49), late, READY, right] if at_once else [reply(49), late]
@@ -124,14 +123,16 @@ def test_a_late_result_behind_the_acknowledgement_is_no_reading(
 
 
 def test_no_result_is_no_reading_and_the_next_one_is_good(
-    monkeypatch: pytest.MonkeyPatch, tracker: Quick, peer: EmsconPeer, time: WireTime
+    monkeypatch: pytest.MonkeyPatch, tracker: Quick
 ) -> None:
-    punctual(monkeypatch, tracker, peer, time)
-    good = peer.answers[49]
-    peer.answers[49] = lambda _: time.behind([reply(49)], 0.1)
-    peer.answers[52] = lambda _: time.behind([result(POINT + [2, 0, 0]), reply(52)], 0.0)
+    punctual(monkeypatch, tracker)
+    good = tracker.peer.answers[49]
+    tracker.peer.answers[49] = lambda _: tracker.time.behind([reply(49)], 0.1)
+    tracker.peer.answers[52] = lambda _: tracker.time.behind(
+        [result(POINT + [2, 0, 0]), reply(52)], 0.0
+    )
     assert measuring(tracker).code == "HC-T13"
-    peer.answers[49] = good
+    tracker.peer.answers[49] = good
     np.testing.assert_array_equal(tracker.measure(POINT, SMR, 1).xyz_mm, POINT)
 
 
@@ -147,11 +148,11 @@ def test_no_result_is_no_reading_and_the_next_one_is_good(
     ],
 )
 def test_a_measurement_that_fails_is_stopped_and_no_reading(
-    tracker: Quick, peer: EmsconPeer, answer: list[bytes], code: str
+    tracker: Quick, answer: list[bytes], code: str
 ) -> None:
-    peer.answers[49] = lambda _: answer
+    tracker.peer.answers[49] = lambda _: answer
     error = measuring(tracker)
-    assert (type(error), error.code, peer.commands[-1]) == (NoReading, code, 52)
+    assert (type(error), error.code, tracker.peer.commands[-1]) == (NoReading, code, 52)
 
 
 @pytest.mark.parametrize(
@@ -171,10 +172,8 @@ def test_a_measurement_that_fails_is_stopped_and_no_reading(
         (result(POINT, air=(0.0, 1013.25, 0.0)), "HC-T05"),
     ],
 )
-def test_a_bad_result_is_no_reading(
-    tracker: Quick, peer: EmsconPeer, bad: bytes, code: str
-) -> None:
-    peer.answers[49] = lambda _: [reply(49), bad]
+def test_a_bad_result_is_no_reading(tracker: Quick, bad: bytes, code: str) -> None:
+    tracker.peer.answers[49] = lambda _: [reply(49), bad]
     error = measuring(tracker)
     assert (type(error), error.code) == (NoReading, code)
     assert len(str(error)) < 200
@@ -182,16 +181,16 @@ def test_a_bad_result_is_no_reading(
 
 @pytest.mark.parametrize(("status", "code"), [(39, "HC-T04"), (26, "HC-T22"), (2, "HC-T23")])
 def test_a_lost_initialisation_is_the_devices_failure(
-    tracker: Quick, peer: EmsconPeer, status: int, code: str
+    tracker: Quick, status: int, code: str
 ) -> None:
-    peer.answers[49] = lambda _: [failure(49, status)]
+    tracker.peer.answers[49] = lambda _: [failure(49, status)]
     error = measuring(tracker)
     assert (type(error), error.code, error.fields) == (DeviceError, code, {"status": status})
 
 
-def test_repeats_that_spread_are_no_reading(tracker: Quick, peer: EmsconPeer) -> None:
+def test_repeats_that_spread_are_no_reading(tracker: Quick) -> None:
     offsets = iter([-0.06, 0.06])
-    peer.answers[49] = lambda _: [reply(49), result(POINT + [0, 0, next(offsets)])]
+    tracker.peer.answers[49] = lambda _: [reply(49), result(POINT + [0, 0, next(offsets)])]
     assert measuring(tracker, 2).code == "HC-T15"
 
 
@@ -200,9 +199,9 @@ def test_repeats_that_spread_are_no_reading(tracker: Quick, peer: EmsconPeer) ->
     [("metres", 1e3), ("micrometres", 1e-3), ("feet", 304.8), ("yards", 914.4), ("inches", 25.4)],
 )
 def test_a_result_in_other_units_is_the_devices_failure_and_names_them(
-    tracker: Quick, peer: EmsconPeer, unit: str, unit_mm: float
+    tracker: Quick, unit: str, unit_mm: float
 ) -> None:
-    peer.answers[49] = lambda _: [reply(49), result(POINT / unit_mm)]
+    tracker.peer.answers[49] = lambda _: [reply(49), result(POINT / unit_mm)]
     error = measuring(tracker)
     assert (error.code, error.fields["unit"]) == ("HC-T18", unit)
     assert not isinstance(error, NoReading)
@@ -211,39 +210,38 @@ def test_a_result_in_other_units_is_the_devices_failure_and_names_them(
 
 @pytest.mark.parametrize("monitor", [0, 1, 2])
 def test_air_counts_as_measured_where_the_weather_monitor_corrects_by_it(
-    peer: EmsconPeer, make: Make, monitor: int
+    bed: EmsconBed, monitor: int
 ) -> None:
-    peer.weather_monitor = monitor
-    tracker = make()
-    tracker.connect()
+    bed.peer.weather_monitor = monitor
+    tracker = bed.connect()
     reading = tracker.measure(POINT, SMR, 1)
     assert reading.air == (Air(22.5, 1013.25, 45.0) if monitor == 2 else None)
 
 
-def test_a_reflector_out_of_the_beam_is_searched(tracker: Quick, peer: EmsconPeer) -> None:
-    peer.xyz = tuple(POINT)
-    peer.answers[55] = lambda _: [failure(55, 37)]
+def test_a_reflector_out_of_the_beam_is_searched(tracker: Quick) -> None:
+    tracker.peer.xyz = tuple(POINT)
+    tracker.peer.answers[55] = lambda _: [failure(55, 37)]
     tracker.measure(POINT, SMR, 1)
-    assert peer.commands[-4:] == [55, 63, 49, 41]
-    peer.answers[63] = lambda _: [failure(63, 10004)]
+    assert tracker.peer.commands[-4:] == [55, 63, 49, 41]
+    tracker.peer.answers[63] = lambda _: [failure(63, 10004)]
     error = measuring(tracker)
     assert isinstance(error, NoReading)
     assert "10004" in error.found
     assert "37" in error.found, "what was tried before"
 
 
-def test_not_ready_is_searched_once(tracker: Quick, peer: EmsconPeer) -> None:
+def test_not_ready_is_searched_once(tracker: Quick) -> None:
     answers = iter([[failure(49, 10004)], [reply(49), result(POINT)]])
-    peer.answers[49] = lambda _: next(answers)
+    tracker.peer.answers[49] = lambda _: next(answers)
     tracker.measure(POINT, SMR, 1)
-    assert peer.commands[-5:] == [55, 49, 63, 49, 41]
+    assert tracker.peer.commands[-5:] == [55, 49, 63, 49, 41]
 
 
-def test_a_busy_server_is_asked_again(tracker: Quick, peer: EmsconPeer) -> None:
+def test_a_busy_server_is_asked_again(tracker: Quick) -> None:
     answers = iter([[failure(49, 1)], [failure(49, 1)], [reply(49), result(POINT)]])
-    peer.answers[49] = lambda _: next(answers)
+    tracker.peer.answers[49] = lambda _: next(answers)
     np.testing.assert_array_equal(tracker.measure(POINT, SMR, 1).xyz_mm, POINT)
-    peer.answers[49] = lambda _: [failure(49, 1)]
+    tracker.peer.answers[49] = lambda _: [failure(49, 1)]
     with pytest.raises(NoReading):
         tracker.measure(POINT, SMR, 1)
 
@@ -251,13 +249,11 @@ def test_a_busy_server_is_asked_again(tracker: Quick, peer: EmsconPeer) -> None:
 @pytest.mark.parametrize(
     "data", [CLOSING, struct.pack("<II", 0, 8), struct.pack("<II", 2**31, 2), reply(40), None]
 )
-def test_a_lost_stream_is_the_devices_failure(
-    tracker: Quick, peer: EmsconPeer, data: bytes | None
-) -> None:
+def test_a_lost_stream_is_the_devices_failure(tracker: Quick, data: bytes | None) -> None:
     if data is None:
-        peer.server.drop()
+        tracker.peer.server.drop()
     else:
-        peer.answers[49] = lambda _: [data]
+        tracker.peer.answers[49] = lambda _: [data]
     assert not isinstance(measuring(tracker), NoReading)
     assert measuring(tracker).code == ("HC-T02" if data is None else "HC-T34")
 
@@ -275,67 +271,63 @@ def test_a_lost_stream_is_the_devices_failure(
     ],
 )
 def test_a_wrong_tracker_is_refused(
-    peer: EmsconPeer, make: Make, command: int, answer: list[bytes], code: str
+    bed: EmsconBed, command: int, answer: list[bytes], code: str
 ) -> None:
-    peer.initialized = 3
-    peer.answers[command] = lambda _: answer
-    assert refusal(make().connect).code == code
+    bed.peer.initialized = 3
+    bed.peer.answers[command] = lambda _: answer
+    assert refusal(bed.make().connect).code == code
 
 
-def test_a_stop_gets_through_while_a_call_hangs(
-    tracker: Quick, peer: EmsconPeer, time: WireTime
-) -> None:
+def test_a_stop_gets_through_while_a_call_hangs(tracker: Quick) -> None:
     started = threading.Event()
 
     def hang(_body: bytes) -> list[bytes]:
         started.set()
         return [reply(49)]
 
-    peer.answers[49] = hang
+    tracker.peer.answers[49] = hang
     with in_thread(lambda: tracker.measure(POINT, SMR, 1), DeviceError) as failures:
         started.wait()
         tracker.stop()
-        peer.stopped.wait()
-        time.silence(0.1)
+        tracker.peer.stopped.wait()
+        tracker.time.silence(0.1)
     assert len(failures) == 1
 
 
-def test_the_runs_stop_ends_a_measurement(tracker: Quick, peer: EmsconPeer, time: WireTime) -> None:
+def test_the_runs_stop_ends_a_measurement(tracker: Quick) -> None:
 
     def stop(_: bytes) -> list[bytes]:
-        time.stop.set()
+        tracker.time.stop.set()
         return [reply(49)]
 
-    peer.answers[49] = stop
+    tracker.peer.answers[49] = stop
     with pytest.raises(Stopped):
         tracker.measure(POINT, SMR, 1)
 
 
 @pytest.mark.parametrize(("near", "samples"), [(POINT[:2], 1), (POINT * np.nan, 1), (POINT, 0)])
-def test_nonsense_is_never_sent(tracker: Quick, peer: EmsconPeer, near: Any, samples: int) -> None:
-    before = len(peer.commands)
+def test_nonsense_is_never_sent(tracker: Quick, near: Any, samples: int) -> None:
+    before = len(tracker.peer.commands)
     with pytest.raises(DeviceError):
         tracker.measure(near, SMR, samples)
-    assert len(peer.commands) == before
+    assert len(tracker.peer.commands) == before
 
 
-def test_a_dead_server_is_noticed_at_connect(time: WireTime, make: Make) -> None:
+def test_a_dead_server_is_noticed_at_connect(bed: EmsconBed) -> None:
     silent = threading.Event()
 
     def serve(_: socket.socket) -> None:
         silent.wait()
 
-    time.silence(0.1)
+    bed.time.silence(0.1)
     with Server(serve) as server:
-        assert refusal(make(port=server.port).connect).code == "HC-T02"
+        assert refusal(bed.make(port=server.port).connect).code == "HC-T02"
         silent.set()
 
 
-def test_a_stop_that_is_refused_is_reported_beside_the_cause(
-    tracker: Quick, peer: EmsconPeer
-) -> None:
-    peer.answers[49] = lambda _: [reply(49), NOT_READY]
-    peer.answers[52] = lambda _: [failure(52, 10014)]
+def test_a_stop_that_is_refused_is_reported_beside_the_cause(tracker: Quick) -> None:
+    tracker.peer.answers[49] = lambda _: [reply(49), NOT_READY]
+    tracker.peer.answers[52] = lambda _: [failure(52, 10014)]
     error = measuring(tracker)
     assert isinstance(error, NoReading)
     assert "10014" in error.found
@@ -363,9 +355,9 @@ class TurningPeer:
 
 
 def test_a_nest_is_measured_in_the_second_face_and_the_tracker_left_in_the_first(
-    peer: EmsconPeer, tracker: Quick
+    tracker: Quick,
 ) -> None:
-    turning = TurningPeer(peer)
+    turning = TurningPeer(tracker.peer)
     reading = tracker.measure_back(POINT, SMR, 3)
     tracker.measure(POINT, SMR, 1)
     assert turning.seen == [2, 2, 2, 1]
@@ -383,16 +375,16 @@ def test_a_nest_is_measured_in_the_second_face_and_the_tracker_left_in_the_first
     ids=["beam broken", "spread"],
 )
 def test_a_failure_in_the_second_face_leaves_the_tracker_in_the_first(
-    peer: EmsconPeer, tracker: Quick, results: list[bytes], code: str
+    tracker: Quick, results: list[bytes], code: str
 ) -> None:
-    turning, answers = TurningPeer(peer), iter(results)
-    peer.answers[49] = lambda _: [reply(49), next(answers)]
+    turning, answers = TurningPeer(tracker.peer), iter(results)
+    tracker.peer.answers[49] = lambda _: [reply(49), next(answers)]
     error = refusal(lambda: tracker.measure_back(POINT, SMR, len(results)))
     assert (type(error), error.code, turning.face) == (NoReading, code, 1)
 
 
-def test_a_face_that_reads_back_differently_is_refused(peer: EmsconPeer, tracker: Quick) -> None:
-    TurningPeer(peer, stuck=True)
+def test_a_face_that_reads_back_differently_is_refused(tracker: Quick) -> None:
+    TurningPeer(tracker.peer, stuck=True)
     error = refusal(lambda: tracker.measure_back(POINT, SMR, 1))
     assert (error.code, error.fields["setting"], error.fields["written"]) == (
         "HC-T06",
@@ -403,20 +395,18 @@ def test_a_face_that_reads_back_differently_is_refused(peer: EmsconPeer, tracker
 
 @pytest.mark.parametrize("face", [1, 2])
 def test_a_tracker_that_was_left_in_its_second_face_is_turned_back(
-    peer: EmsconPeer, make: Make, face: int
+    bed: EmsconBed, face: int
 ) -> None:
-    turning = TurningPeer(peer, face=face)
-    tracker = make()
-    tracker.connect()
+    turning = TurningPeer(bed.peer, face=face)
+    bed.connect()
     assert turning.face == 1
-    assert peer.commands.count(53) == face - 1
+    assert bed.peer.commands.count(53) == face - 1
 
 
-def test_a_controller_that_does_not_report_its_face_connects(peer: EmsconPeer, make: Make) -> None:
-    peer.answers[98] = lambda _: [failure(98, 2)]
-    tracker = make()
-    tracker.connect()
-    assert 53 not in peer.commands
+def test_a_controller_that_does_not_report_its_face_connects(bed: EmsconBed) -> None:
+    bed.peer.answers[98] = lambda _: [failure(98, 2)]
+    bed.connect()
+    assert 53 not in bed.peer.commands
 
 
 COMPENSATION, SERVER_STARTED = 11, 999
@@ -442,12 +432,10 @@ def news(change: int) -> bytes:
 
 
 @pytest.fixture
-def telling(peer: EmsconPeer, make: Make) -> Quick:
+def telling(bed: EmsconBed) -> Quick:
     """Return a tracker whose controller reports its face."""
-    peer.settings[98] = struct.pack("<i", 1)
-    tracker = make(find_radius_mm=20.0)
-    tracker.connect()
-    return tracker
+    bed.peer.settings[98] = struct.pack("<i", 1)
+    return bed.connect(find_radius_mm=20.0)
 
 
 def changed(error: DeviceError) -> bool:
@@ -457,8 +445,9 @@ def changed(error: DeviceError) -> bool:
 @pytest.mark.parametrize("other", OTHERS)
 @pytest.mark.parametrize("while_it", ["rests", "aims", "measures"])
 def test_a_setting_of_another_program_is_refused_until_it_is_set_again(
-    peer: EmsconPeer, telling: Quick, other: str, while_it: str
+    bed: EmsconBed, telling: Quick, other: str, while_it: str
 ) -> None:
+    peer = bed.peer
     change, read, body = OTHERS[other]
     ours, go = peer.settings[read], peer.answers[55]
 
@@ -483,9 +472,9 @@ def test_a_setting_of_another_program_is_refused_until_it_is_set_again(
 
 @pytest.mark.parametrize("command", [1, 6, 42, 98, 132])
 def test_a_body_that_is_too_short_ends_the_connection(
-    peer: EmsconPeer, telling: Quick, command: int
+    bed: EmsconBed, telling: Quick, command: int
 ) -> None:
-    peer.answers[command] = lambda _: [reply(command, bytes(3))]
+    bed.peer.answers[command] = lambda _: [reply(command, bytes(3))]
     error = refusal(telling.connect)
     assert (error.code, error.operation) == ("HC-T02", "decode")
     assert "a reply of 3 bytes" in error.found
@@ -493,23 +482,23 @@ def test_a_body_that_is_too_short_ends_the_connection(
 
 @pytest.mark.parametrize("other", OTHERS)
 def test_news_of_a_setting_that_is_still_ours_costs_one_question_more(
-    peer: EmsconPeer, telling: Quick, other: str
+    bed: EmsconBed, telling: Quick, other: str
 ) -> None:
     change, read, _ = OTHERS[other]
     telling.measure(POINT, SMR, 1)
-    counts = [peer.commands.count(read)]
+    counts = [bed.peer.commands.count(read)]
     for data in (news(change), b""):
-        peer.server.send(data)
+        bed.peer.server.send(data)
         telling.measure(POINT, SMR, 1)
-        counts.append(peer.commands.count(read))
+        counts.append(bed.peer.commands.count(read))
     each = int(read == 41)  # the reflector is read after each reading
     assert np.diff(counts).tolist() == [each + 1, each]
 
 
 def test_a_compensation_by_another_program_is_refused_until_a_new_connect(
-    peer: EmsconPeer, telling: Quick
+    bed: EmsconBed, telling: Quick
 ) -> None:
-    peer.server.send(news(COMPENSATION))
+    bed.peer.server.send(news(COMPENSATION))
     assert changed(measuring(telling))
     assert changed(measuring(telling))
     telling.connect()
@@ -518,23 +507,19 @@ def test_a_compensation_by_another_program_is_refused_until_a_new_connect(
 
 @pytest.mark.parametrize("scale", [1.0002, 0.9999999, float("nan")])
 def test_a_transformation_that_stretches_lengths_is_refused_while_it_is_in_use(
-    peer: EmsconPeer, make: Make, scale: float
+    bed: EmsconBed, scale: float
 ) -> None:
-    peer.settings[15] = struct.pack("<7d", *FRAME, scale)
-    tracker = make()
-    tracker.connect()
-    peer.settings[48] = struct.pack("<9i", 2, 1, 0, 0, 1, 0, 0, 0, 0)
+    bed.peer.settings[15] = struct.pack("<7d", *FRAME, scale)
+    tracker = bed.connect()
+    bed.peer.settings[48] = struct.pack("<9i", 2, 1, 0, 0, 1, 0, 0, 0, 0)
     error = refusal(tracker.connect)
     assert (type(error), error.code) == (DeviceRefused, "HC-T06")
     assert "scale" in error.found
 
 
 @pytest.mark.parametrize("answer", [failure(48, 2), reply(48, status=2), reply(48)])
-def test_an_older_controller_does_not_report_its_frame(
-    peer: EmsconPeer, make: Make, answer: bytes
-) -> None:
-    peer.answers[48] = lambda _: [answer]
-    del peer.settings[13], peer.settings[15]
-    tracker = make()
-    tracker.connect()
+def test_an_older_controller_does_not_report_its_frame(bed: EmsconBed, answer: bytes) -> None:
+    bed.peer.answers[48] = lambda _: [answer]
+    del bed.peer.settings[13], bed.peer.settings[15]
+    tracker = bed.connect()
     np.testing.assert_allclose(tracker.measure(POINT, SMR, 1).xyz_mm, POINT, atol=1e-6)

@@ -9,9 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from hilcell.ports import Array, DeviceError, NoReading, Stopped, Stream, StreamBlock, Streams
-from tests.drivers.leica.emscon_bed import POINT, SMR, Make, Quick, punctual
+from tests.drivers.leica.emscon_bed import POINT, SMR, EmsconBed, Quick, punctual
 from tests.drivers.leica.emscon_peer import NOT_READY, READY, EmsconPeer, failure, reply, result
-from tests.drivers.peers import WireTime, refusal, soon
+from tests.drivers.peers import refusal, soon
 
 STATIONARY, CONTINUOUS = struct.pack("<i", 0), struct.pack("<i", 1)
 PARAMETERS = struct.pack("<4i", 10, 0, 0, 0)  # 10 ms, until stopped
@@ -56,7 +56,8 @@ def fly(
         return blocks + stream.collect() + stream.complete()
 
 
-def test_a_stream_sets_its_mode_collects_and_restores(peer: EmsconPeer, tracker: Quick) -> None:
+def test_a_stream_sets_its_mode_collects_and_restores(tracker: Quick) -> None:
+    peer = tracker.peer
     assert isinstance(tracker, Streams)
     with tracker.stream(POINT, SMR, 100.0) as stream:
         assert stream.rate_hz == 100.0
@@ -76,8 +77,8 @@ def test_a_stream_sets_its_mode_collects_and_restores(peer: EmsconPeer, tracker:
     assert tracker.measure(POINT, SMR, 1).samples == 1  # at rest, afterwards
 
 
-def test_packets_in_slices_are_the_same(peer: EmsconPeer, tracker: Quick) -> None:
-    peer.slice = 5
+def test_packets_in_slices_are_the_same(tracker: Quick) -> None:
+    tracker.peer.slice = 5
     assert sum(len(block.device_s) for block in fly(tracker)) == 8
 
 
@@ -95,71 +96,61 @@ def test_packets_in_slices_are_the_same(peer: EmsconPeer, tracker: Quick) -> Non
     ids=["beam", "refused", "back", "twice", "nan", "absurd", "status"],
 )
 def test_a_stream_that_fails_is_no_reading_and_restores(
-    peer: EmsconPeer, tracker: Quick, packet: bytes, code: str
+    tracker: Quick, packet: bytes, code: str
 ) -> None:
-    peer.answers[START] = lambda _: [reply(START), READY, FIRST + packet]
+    tracker.peer.answers[START] = lambda _: [reply(START), READY, FIRST + packet]
     error = refusal(lambda: fly(tracker))
     assert (type(error), error.code) == (NoReading, code)
-    assert peer.settings[25] == STATIONARY
-    assert peer.commands[-3:] == [STOP, SET_MODE, 25]
+    assert tracker.peer.settings[25] == STATIONARY
+    assert tracker.peer.commands[-3:] == [STOP, SET_MODE, 25]
 
 
-def test_another_reflector_is_no_reading(peer: EmsconPeer, tracker: Quick) -> None:
-    peer.answers[START] = lambda _: [reply(START), samples(np.array([7.0]), POINT + 6.0)]
+def test_another_reflector_is_no_reading(tracker: Quick) -> None:
+    tracker.peer.answers[START] = lambda _: [reply(START), samples(np.array([7.0]), POINT + 6.0)]
     error = refusal(lambda: fly(tracker))
     assert isinstance(error, NoReading)
     assert error.fields["off_mm"] == pytest.approx(6.0 * np.sqrt(3))
 
 
 @pytest.mark.parametrize("unit", [1000.0, 0.001, 3.0])
-def test_times_in_other_units_are_found_out(peer: EmsconPeer, tracker: Quick, unit: float) -> None:
+def test_times_in_other_units_are_found_out(tracker: Quick, unit: float) -> None:
     packet = samples(7.0 + unit * np.arange(5) / 100.0)
-    peer.answers[START] = lambda _: [reply(START), packet]
+    tracker.peer.answers[START] = lambda _: [reply(START), packet]
     assert refusal(lambda: fly(tracker)).code == "HC-T41"
 
 
-def test_a_gap_is_survived(peer: EmsconPeer, tracker: Quick) -> None:
-    peer.answers[STOP] = lambda _: [samples(np.array([8.5, 8.51])), reply(STOP)]
+def test_a_gap_is_survived(tracker: Quick) -> None:
+    tracker.peer.answers[STOP] = lambda _: [samples(np.array([8.5, 8.51])), reply(STOP)]
     assert fly(tracker)[-1].device_s.tolist() == [8.5, 8.51]
 
 
 @pytest.mark.parametrize("collected", [True, False])
 def test_a_stream_without_a_sample_is_no_reading(
-    monkeypatch: pytest.MonkeyPatch,
-    peer: EmsconPeer,
-    tracker: Quick,
-    time: WireTime,
-    collected: bool,
+    monkeypatch: pytest.MonkeyPatch, tracker: Quick, collected: bool
 ) -> None:
-    punctual(monkeypatch, tracker, peer, time)
-    peer.answers[START] = lambda _: time.behind([reply(START)], 0.1)
-    peer.answers[STOP] = lambda _: time.behind([reply(STOP)], 0.0)
+    punctual(monkeypatch, tracker)
+    tracker.peer.answers[START] = lambda _: tracker.time.behind([reply(START)], 0.1)
+    tracker.peer.answers[STOP] = lambda _: tracker.time.behind([reply(STOP)], 0.0)
     assert isinstance(refusal(lambda: fly(tracker, collected=collected)), NoReading)
 
 
-def test_parameters_that_read_back_differently_restore_the_mode(
-    peer: EmsconPeer, tracker: Quick
-) -> None:
+def test_parameters_that_read_back_differently_restore_the_mode(tracker: Quick) -> None:
     found = struct.pack("<4i", 20, 0, 0, 0)
-    peer.answers[GET_PARAMETERS] = lambda _: [reply(GET_PARAMETERS, found)]
+    tracker.peer.answers[GET_PARAMETERS] = lambda _: [reply(GET_PARAMETERS, found)]
     assert refusal(lambda: fly(tracker)).code == "HC-T06"
-    assert peer.settings[25] == STATIONARY
+    assert tracker.peer.settings[25] == STATIONARY
 
 
-def test_a_stop_is_not_waited_for_but_restores(
-    peer: EmsconPeer, tracker: Quick, time: WireTime
-) -> None:
+def test_a_stop_is_not_waited_for_but_restores(tracker: Quick) -> None:
     with pytest.raises(Stopped):
-        fly(tracker, time.stop.set)
-    soon(lambda: peer.settings[25] == STATIONARY)
-    assert STOP in peer.commands
+        fly(tracker, tracker.time.stop.set)
+    soon(lambda: tracker.peer.settings[25] == STATIONARY)
+    assert STOP in tracker.peer.commands
 
 
-def test_a_stop_while_a_failed_stream_ends_does_not_hide_the_failure(
-    tracker: Quick, time: WireTime
-) -> None:
+def test_a_stop_while_a_failed_stream_ends_does_not_hide_the_failure(tracker: Quick) -> None:
     def fail_and_stop() -> None:
-        time.stop.set()
+        tracker.time.stop.set()
         raise KeyError
 
     with pytest.raises(KeyError) as caught:
@@ -167,17 +158,16 @@ def test_a_stop_while_a_failed_stream_ends_does_not_hide_the_failure(
     assert len(caught.value.__notes__) == 1
 
 
-def test_a_stream_left_behind_is_ended_by_connect(peer: EmsconPeer, make: Make) -> None:
-    peer.settings[25] = CONTINUOUS
-    tracker = make()
-    tracker.connect()
-    assert peer.commands.index(STOP) < peer.commands.index(SET_MODE)
-    assert peer.settings[25] == STATIONARY
+def test_a_stream_left_behind_is_ended_by_connect(bed: EmsconBed) -> None:
+    bed.peer.settings[25] = CONTINUOUS
+    bed.connect()
+    assert bed.peer.commands.index(STOP) < bed.peer.commands.index(SET_MODE)
+    assert bed.peer.settings[25] == STATIONARY
 
 
-def test_a_mode_that_cannot_be_restored_is_noted(peer: EmsconPeer, tracker: Quick) -> None:
+def test_a_mode_that_cannot_be_restored_is_noted(tracker: Quick) -> None:
     def fail() -> None:
-        peer.answers[SET_MODE] = lambda _: [failure(SET_MODE, 26)]
+        tracker.peer.answers[SET_MODE] = lambda _: [failure(SET_MODE, 26)]
         raise KeyError
 
     with pytest.raises(KeyError) as caught:
@@ -198,14 +188,14 @@ def test_the_rate_is_one_that_the_tracker_has(tracker: Quick) -> None:
     assert tracker.stream(POINT, SMR, 300.0).rate_hz == pytest.approx(1000.0 / 3)
 
 
-def test_a_stream_of_another_reflector_is_refused(peer: EmsconPeer, tracker: Quick) -> None:
+def test_a_stream_of_another_reflector_is_refused(tracker: Quick) -> None:
     times_s = 7.0 + np.arange(4) / 100.0
 
     def start(_: bytes) -> list[bytes]:
-        peer.settings[41] = struct.pack("<i", 4)
+        tracker.peer.settings[41] = struct.pack("<i", 4)
         return [reply(49), READY, struct.pack("<III", 12, 8, 7), samples(times_s)]
 
-    peer.answers[49] = start
+    tracker.peer.answers[49] = start
 
     assert refusal(lambda: fly(tracker, collected=False)).code == "HC-T06"
-    assert peer.settings[25] == struct.pack("<i", 0)
+    assert tracker.peer.settings[25] == struct.pack("<i", 0)

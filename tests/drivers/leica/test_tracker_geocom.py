@@ -7,6 +7,7 @@ import math
 import os
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from drivers.leica import tracker_geocom as geocom
 from drivers.leica.tracker_geocom import LeicaGeocomTracker, Reply, Rpc
 from hilcell.ports import DeviceError, DeviceRefused, NoReading, Stopped, Streams, Tracker
 from tests.drivers.leica.geocom_peer import GeocomPeer
-from tests.drivers.peers import WireTime, closed_behind, in_thread, refusal
+from tests.drivers.peers import Bed, WireTime, in_thread, refusal
 
 pytestmark = pytest.mark.waits
 
@@ -31,24 +32,12 @@ SETTINGS = [108, 2029, 2023, 2021, 2014, 2007, 18006]  # in the order in which t
 
 
 class Quick(LeicaGeocomTracker):
+    """An instrument at its peer, with short deadlines."""
+
     REPLY_S = 0.3
     MOVE_S = 0.3
 
-
-Make = Callable[..., Quick]
-
-
-@pytest.fixture
-def peer() -> Iterator[GeocomPeer]:
-    with GeocomPeer() as peer:
-        yield peer
-
-
-@pytest.fixture
-def make(peer: GeocomPeer, time: WireTime) -> Iterator[Make]:
-    """Make trackers, not yet connected, which are closed behind the test."""
-
-    def build(**options: Any) -> Quick:
+    def __init__(self, peer: GeocomPeer, time: WireTime, **options: Any) -> None:
         values: dict[str, Any] = {
             "channel": peer.channel,
             "reflector": SMR,
@@ -56,9 +45,22 @@ def make(peer: GeocomPeer, time: WireTime) -> Iterator[Make]:
             "find_radius_mm": 5.0,
             "reading_s": 0.1,
         }
-        return Quick(Quick.Options(**(values | options)), time)
+        super().__init__(self.Options(**(values | options)), time)
+        self.peer, self.time = peer, time
 
-    yield from closed_behind(build)
+
+GeocomBed = Bed[GeocomPeer, Quick]
+
+
+@pytest.fixture
+def bed(time: WireTime) -> Iterator[GeocomBed]:
+    with GeocomPeer() as peer, closing(Bed(peer, time, Quick)) as bed:
+        yield bed
+
+
+@pytest.fixture
+def tracker(bed: GeocomBed) -> Quick:
+    return bed.connect()
 
 
 def measuring(tracker: Quick, samples: int = 1) -> DeviceError:
@@ -67,23 +69,21 @@ def measuring(tracker: Quick, samples: int = 1) -> DeviceError:
 
 
 @pytest.mark.parametrize("serial", [False, True])
-def test_it_is_a_tracker_that_does_not_stream_on_either_wire(
-    time: WireTime, make: Make, serial: bool
-) -> None:
+def test_it_is_a_tracker_that_does_not_stream_on_either_wire(bed: GeocomBed, serial: bool) -> None:
     with GeocomPeer(serial=serial) as peer:
-        tracker = make(channel=peer.channel)
+        tracker = bed.make(channel=peer.channel)
         tracker.connect()
         port: Tracker = tracker
         assert not isinstance(port, Streams)
-        time.wait(1.0)
+        bed.time.wait(1.0)
         reading = port.measure(POINT, SMR, 1)
         np.testing.assert_allclose(reading.xyz_mm, POINT, atol=1e-6)
         assert (reading.samples, reading.reflector, reading.air) == (1, SMR, None)
-        assert reading.taken_s == time.pc_s()
+        assert reading.taken_s == bed.time.pc_s()
 
 
-def test_connecting_sets_everything_and_returns_the_identity(peer: GeocomPeer, make: Make) -> None:
-    tracker = make(
+def test_connecting_sets_everything_and_returns_the_identity(bed: GeocomBed) -> None:
+    tracker = bed.make(
         serial="884321",
         prism_constant_mm=-16.9,
         temperature_c=23.5,
@@ -93,7 +93,7 @@ def test_connecting_sets_everything_and_returns_the_identity(peer: GeocomPeer, m
     (identity,) = tracker.connect()
     assert (identity.model, identity.serial) == ("Leica TS60, R1000", "884321")
     assert (identity.firmware, identity.kind, identity.maker) == ("8.50.0", "tracker", "Leica")
-    assert peer.settings == {
+    assert bed.peer.settings == {
         108: "15",
         2007: "1",
         2014: "1,1,1,1",
@@ -104,13 +104,12 @@ def test_connecting_sets_everything_and_returns_the_identity(peer: GeocomPeer, m
     }
 
 
-def test_a_setting_that_is_right_is_left_alone(peer: GeocomPeer, make: Make) -> None:
-    peer.settings[2023] = "0.0000"
-    peer.answers[2024] = lambda _: "5"  # newer instruments take it at their keyboard only
-    tracker = make()
-    tracker.connect()
+def test_a_setting_that_is_right_is_left_alone(bed: GeocomBed) -> None:
+    bed.peer.settings[2023] = "0.0000"
+    bed.peer.answers[2024] = lambda _: "5"  # newer instruments take it at their keyboard only
+    tracker = bed.connect()
     tracker.close()
-    assert not peer.asked(2024)
+    assert not bed.peer.asked(2024)
 
 
 @pytest.mark.parametrize(
@@ -125,24 +124,25 @@ def test_a_setting_that_is_right_is_left_alone(peer: GeocomPeer, make: Make) -> 
     ],
 )
 def test_a_setting_that_does_not_read_back_is_refused(
-    peer: GeocomPeer, make: Make, rpc: int, answer: str, named: str
+    bed: GeocomBed, rpc: int, answer: str, named: str
 ) -> None:
-    peer.answers[rpc] = lambda _: answer
-    error = refusal(make().connect)
+    bed.peer.answers[rpc] = lambda _: answer
+    error = refusal(bed.make().connect)
     assert (type(error), error.code) == (DeviceRefused, "HC-T06")
     assert named in str(error)
 
 
-def test_a_command_that_the_instrument_does_not_have_is_named(peer: GeocomPeer, make: Make) -> None:
-    peer.reply = lambda number, answer: (
+def test_a_command_that_the_instrument_does_not_have_is_named(bed: GeocomBed) -> None:
+    bed.peer.reply = lambda number, answer: (
         f"%R1P,{3081 if answer == 'none' else 0},{number}:{0 if answer == 'none' else answer}\r\n"
     ).encode()
-    peer.answers[18006] = lambda _: "none"
-    error = refusal(make().connect)
+    bed.peer.answers[18006] = lambda _: "none"
+    error = refusal(bed.make().connect)
     assert (error.code, error.fields["status"]) == ("HC-T23", 3081)
 
 
-def test_one_measurement(tracker: Quick, peer: GeocomPeer) -> None:
+def test_one_measurement(tracker: Quick) -> None:
+    peer = tracker.peer
     peer.requests.clear()
     tracker.measure(POINT, SMR, 1)
     procedures = [int(line.split(",")[1]) for line in peer.requests]
@@ -154,9 +154,8 @@ def test_one_measurement(tracker: Quick, peer: GeocomPeer) -> None:
     assert numbers == list(range(numbers[0], numbers[0] + len(SETTINGS) + 5))
 
 
-def test_one_reading_is_as_uncertain_as_the_maker_states(peer: GeocomPeer, make: Make) -> None:
-    tracker = make(distance_mm=0.6, distance_ppm=1.0, angle_arcsec=1.0)
-    tracker.connect()
+def test_one_reading_is_as_uncertain_as_the_maker_states(bed: GeocomBed) -> None:
+    tracker = bed.connect(distance_mm=0.6, distance_ppm=1.0, angle_arcsec=1.0)
     reading = tracker.measure(POINT, SMR, 1)
     tracker.close()
     along, across = 0.605, 5000 * np.pi / 648_000
@@ -164,18 +163,18 @@ def test_one_reading_is_as_uncertain_as_the_maker_states(peer: GeocomPeer, make:
     np.testing.assert_allclose(reading.std_mm, expected, rtol=1e-6)
 
 
-def test_repeats_aim_again_and_have_their_own_spread(tracker: Quick, peer: GeocomPeer) -> None:
+def test_repeats_aim_again_and_have_their_own_spread(tracker: Quick) -> None:
     distances = iter([5.0, 5.0002, 4.9998])
-    peer.answers[2108] = lambda _: f"0,{peer.pointing},{next(distances):.15f}"
+    tracker.peer.answers[2108] = lambda _: f"0,{tracker.peer.pointing},{next(distances):.15f}"
     reading = tracker.measure(POINT, SMR, 3)
-    assert len(peer.asked(9037)) == 3
+    assert len(tracker.peer.asked(9037)) == 3
     np.testing.assert_allclose(reading.xyz_mm, POINT, atol=1e-6)
     np.testing.assert_allclose(reading.std_mm, [0.16, 0.12, 0.0], atol=1e-6)
 
 
-def test_repeats_that_spread_are_no_reading(tracker: Quick, peer: GeocomPeer) -> None:
+def test_repeats_that_spread_are_no_reading(tracker: Quick) -> None:
     distances = iter([5.0, 5.003])
-    peer.answers[2108] = lambda _: f"0,{peer.pointing},{next(distances):.15f}"
+    tracker.peer.answers[2108] = lambda _: f"0,{tracker.peer.pointing},{next(distances):.15f}"
     error = measuring(tracker, 2)
     assert (type(error), error.code) == (NoReading, "HC-T15")
 
@@ -202,19 +201,20 @@ def test_repeats_that_spread_are_no_reading(tracker: Quick, peer: GeocomPeer) ->
     ],
 )
 def test_return_codes_have_their_alarms(
-    tracker: Quick, peer: GeocomPeer, rpc: int, code: int, alarm: str, kind: type
+    tracker: Quick, rpc: int, code: int, alarm: str, kind: type
 ) -> None:
     # With the values of a good reading: a code is never passed over for them.
-    peer.answers[rpc] = lambda _: f"{code},0.643501108793,1.570796326795,5.0"
+    tracker.peer.answers[rpc] = lambda _: f"{code},0.643501108793,1.570796326795,5.0"
     error = measuring(tracker)
     assert (type(error), error.code, error.fields) == (kind, alarm, {"status": code})
 
 
 @pytest.mark.parametrize("code", [1283, 1284])
 def test_readings_without_full_correction_are_taken_where_the_file_says_so(
-    peer: GeocomPeer, make: Make, code: int
+    bed: GeocomBed, code: int
 ) -> None:
-    tracker = make(accept_uncorrected=True)
+    peer = bed.peer
+    tracker = bed.make(accept_uncorrected=True)
     (identity,) = tracker.connect()
     assert "accepted" in identity.model
     peer.answers[2108] = lambda _: f"{code},{peer.pointing},5.000000000000000"
@@ -228,12 +228,12 @@ def test_readings_without_full_correction_are_taken_where_the_file_says_so(
 
 
 @pytest.mark.parametrize("code", [13, 786, 1293])
-def test_a_busy_instrument_is_asked_again(tracker: Quick, peer: GeocomPeer, code: int) -> None:
+def test_a_busy_instrument_is_asked_again(tracker: Quick, code: int) -> None:
     codes = iter([code, code, 0])
-    peer.answers[9037] = lambda _: str(next(codes))
+    tracker.peer.answers[9037] = lambda _: str(next(codes))
     assert tracker.measure(POINT, SMR, 1).samples == 1
-    assert len(peer.asked(9037)) == 3
-    peer.answers[9037] = lambda _: str(code)
+    assert len(tracker.peer.asked(9037)) == 3
+    tracker.peer.answers[9037] = lambda _: str(code)
     error = measuring(tracker)
     assert (type(error), error.code) == (NoReading, "HC-T21")
 
@@ -245,12 +245,10 @@ def test_a_busy_instrument_is_asked_again(tracker: Quick, peer: GeocomPeer, code
         *product((0, 1, 2), ("1" + "0" * 308, "1" + "0" * 400, "-1" + "0" * 308)),
     ],
 )  # fmt: skip
-def test_a_result_that_is_no_position_is_no_reading(
-    tracker: Quick, peer: GeocomPeer, value: str, place: int
-) -> None:
+def test_a_result_that_is_no_position_is_no_reading(tracker: Quick, value: str, place: int) -> None:
     values = ["0.643501108793284", "1.570796326794897", "5.000000000000000"]
     values[place] = f"{value}.000000000000000" if value.endswith("0" * 300) else value
-    peer.answers[2108] = lambda _: ",".join(["0", *values])
+    tracker.peer.answers[2108] = lambda _: ",".join(["0", *values])
     error = measuring(tracker)
     assert (type(error), error.code) == (NoReading, "HC-T14")
 
@@ -262,45 +260,38 @@ def test_a_result_that_is_no_position_is_no_reading(
     "0.643501108793284,1.570796326794897,5000000000000000",
     "0.643501108793284,1.570796326794897,5.00000000000000",
 ])  # fmt: skip
-def test_a_reading_that_has_lost_characters_is_measured_again(
-    peer: GeocomPeer, make: Make, damaged: str
-) -> None:
-    tracker = make(find_radius_mm=100.0)
-    tracker.connect()
-    good, first = peer.answers[2108], iter([True])
-    peer.answers[2108] = lambda text: f"0,{damaged}" if next(first, False) else good(text)
+def test_a_reading_that_has_lost_characters_is_measured_again(bed: GeocomBed, damaged: str) -> None:
+    tracker = bed.connect(find_radius_mm=100.0)
+    good, first = bed.peer.answers[2108], iter([True])
+    bed.peer.answers[2108] = lambda text: f"0,{damaged}" if next(first, False) else good(text)
     np.testing.assert_allclose(tracker.measure(POINT, SMR, 1).xyz_mm, POINT, atol=1e-6)
-    assert peer.asked(2008) == ["3,1", "3,1", "1,1", "3,1", "1,1"], "a new distance, too"
+    assert bed.peer.asked(2008) == ["3,1", "3,1", "1,1", "3,1", "1,1"], "a new distance, too"
     others = itertools.cycle([damaged, "0.64501108793284,1.5707963267948,5.00000000000000"])
-    peer.answers[2108] = lambda _: f"0,{next(others)}"
+    bed.peer.answers[2108] = lambda _: f"0,{next(others)}"
     error = measuring(tracker)
     assert (type(error), error.code) == (NoReading, "HC-T14")
     assert damaged in error.found
 
 
-def test_two_readings_that_agree_have_lost_zeros_only(tracker: Quick, peer: GeocomPeer) -> None:
+def test_two_readings_that_agree_have_lost_zeros_only(tracker: Quick) -> None:
     """Some instruments leave the zeros at the end of a number out."""
-    peer.answers[2108] = lambda _: f"0,{peer.pointing.split(',')[0]},1.5707963267949,5.0"
+    tracker.peer.answers[2108] = lambda _: (
+        f"0,{tracker.peer.pointing.split(',')[0]},1.5707963267949,5.0"
+    )
     np.testing.assert_allclose(tracker.measure(POINT, SMR, 1).xyz_mm, POINT, atol=1e-6)
 
 
-def test_an_instrument_without_a_switch_for_its_corrections_is_taken(
-    peer: GeocomPeer, make: Make
-) -> None:
-    peer.answers[2014] = lambda _: "5"
-    tracker = make()
-    tracker.connect()
+def test_an_instrument_without_a_switch_for_its_corrections_is_taken(bed: GeocomBed) -> None:
+    bed.peer.answers[2014] = lambda _: "5"
+    tracker = bed.connect()
     assert tracker.measure(POINT, SMR, 1).samples == 1
-    assert peer.asked(2016) == []
+    assert bed.peer.asked(2016) == []
 
 
-def test_one_of_many_repeats_that_is_far_from_the_others_is_in_no_mean(
-    peer: GeocomPeer, make: Make
-) -> None:
-    tracker = make(max_std_mm=3.0, find_radius_mm=20.0)
-    tracker.connect()
+def test_one_of_many_repeats_that_is_far_from_the_others_is_in_no_mean(bed: GeocomBed) -> None:
+    tracker = bed.connect(max_std_mm=3.0, find_radius_mm=20.0)
     distances = iter([5.0003, 4.995, 5.0, 4.9998])
-    peer.answers[2108] = lambda _: f"0,{peer.pointing},{next(distances):.15f}"
+    bed.peer.answers[2108] = lambda _: f"0,{bed.peer.pointing},{next(distances):.15f}"
     error = measuring(tracker, 4)
     assert (type(error), error.code) == (NoReading, "HC-T15")
     assert "repeat 2 of 4" in error.found
@@ -319,95 +310,82 @@ def test_one_of_many_repeats_that_is_far_from_the_others_is_in_no_mean(
     ],
 )
 def test_a_setting_that_is_changed_at_the_keyboard_is_refused_until_it_is_set_again(
-    tracker: Quick, peer: GeocomPeer, rpc: int, value: str
+    tracker: Quick, rpc: int, value: str
 ) -> None:
     tracker.measure(POINT, SMR, 1)
-    peer.settings[rpc] = value
+    tracker.peer.settings[rpc] = value
     error = measuring(tracker)
     assert (error.code, type(error)) == ("HC-T06", DeviceError)
-    assert not peer.asked(9027)[1:], "it is not even aimed"
+    assert not tracker.peer.asked(9027)[1:], "it is not even aimed"
     tracker.connect()
     assert tracker.measure(POINT, SMR, 1).samples == 1
 
 
-def test_a_setting_that_has_lost_a_character_is_asked_again(
-    tracker: Quick, peer: GeocomPeer
-) -> None:
+def test_a_setting_that_has_lost_a_character_is_asked_again(tracker: Quick) -> None:
     once = iter(["0,0.00000658,101.25,20.0,20.0"])
-    peer.answers[2029] = lambda _: next(once, f"0,{peer.settings[2029]}")
+    tracker.peer.answers[2029] = lambda _: next(once, f"0,{tracker.peer.settings[2029]}")
     assert tracker.measure(POINT, SMR, 1).samples == 1
 
 
-def test_a_serial_number_that_has_lost_a_character_is_asked_again(
-    peer: GeocomPeer, make: Make
-) -> None:
+def test_a_serial_number_that_has_lost_a_character_is_asked_again(bed: GeocomBed) -> None:
     once = iter(["0,88432"])
-    peer.answers[5003] = lambda _: next(once, "0,884321")
-    (identity,) = make(serial="884321").connect()
+    bed.peer.answers[5003] = lambda _: next(once, "0,884321")
+    (identity,) = bed.make(serial="884321").connect()
     assert identity.serial == "884321"
 
 
-def test_an_instrument_that_never_answers_the_same_twice_is_lost(
-    peer: GeocomPeer, make: Make
-) -> None:
+def test_an_instrument_that_never_answers_the_same_twice_is_lost(bed: GeocomBed) -> None:
     serials = itertools.count(884321)
-    peer.answers[5003] = lambda _: f"0,{next(serials)}"
-    assert refusal(make().connect).code == "HC-T02"
+    bed.peer.answers[5003] = lambda _: f"0,{next(serials)}"
+    assert refusal(bed.make().connect).code == "HC-T02"
 
 
 @pytest.mark.parametrize("wet_bulb_c", [20.1, float("nan")])
-def test_a_wet_bulb_above_the_air_is_refused(make: Make, wet_bulb_c: float) -> None:
+def test_a_wet_bulb_above_the_air_is_refused(bed: GeocomBed, wet_bulb_c: float) -> None:
     with pytest.raises(ValueError, match="wet bulb"):
-        make(temperature_c=20.0, wet_bulb_c=wet_bulb_c)
+        bed.make(temperature_c=20.0, wet_bulb_c=wet_bulb_c)
 
 
 @pytest.mark.parametrize("empty", ["0", "0,", "0,,,"])
 def test_a_result_without_values_is_no_reading_and_the_next_is_good(
-    tracker: Quick, peer: GeocomPeer, empty: str
+    tracker: Quick, empty: str
 ) -> None:
-    good, asked = peer.answers[2108], iter([True])
-    peer.answers[2108] = lambda text: empty if next(asked, False) else good(text)
+    good, asked = tracker.peer.answers[2108], iter([True])
+    tracker.peer.answers[2108] = lambda text: empty if next(asked, False) else good(text)
     error = measuring(tracker)
     assert (type(error), error.code) == (NoReading, "HC-T13")
     np.testing.assert_allclose(tracker.measure(POINT, SMR, 1).xyz_mm, POINT, atol=1e-6)
 
 
 @pytest.mark.parametrize("rpc", [108, 2029, 5003, 5004, 5034])
-def test_a_question_whose_answer_has_no_values_is_asked_again(
-    peer: GeocomPeer, make: Make, rpc: int
-) -> None:
-    good, asked = peer.answers.get(rpc, lambda _: f"0,{peer.settings[rpc]}"), iter([True])
-    peer.answers[rpc] = lambda text: "0" if next(asked, False) else good(text)
-    tracker = make()
-    tracker.connect()
+def test_a_question_whose_answer_has_no_values_is_asked_again(bed: GeocomBed, rpc: int) -> None:
+    good, asked = bed.peer.answers.get(rpc, lambda _: f"0,{bed.peer.settings[rpc]}"), iter([True])
+    bed.peer.answers[rpc] = lambda text: "0" if next(asked, False) else good(text)
+    tracker = bed.connect()
     tracker.close()
-    peer.answers[rpc] = lambda _: "0"
+    bed.peer.answers[rpc] = lambda _: "0"
     assert refusal(tracker.connect).code == "HC-T02"
 
 
 @pytest.mark.parametrize("serial", ["nan", "inf"])
-def test_a_serial_number_that_is_none_is_no_identity(
-    peer: GeocomPeer, make: Make, serial: str
-) -> None:
-    peer.answers[5003] = lambda _: f"0,{serial}"
-    assert refusal(make().connect).code == "HC-T02"
+def test_a_serial_number_that_is_none_is_no_identity(bed: GeocomBed, serial: str) -> None:
+    bed.peer.answers[5003] = lambda _: f"0,{serial}"
+    assert refusal(bed.make().connect).code == "HC-T02"
 
 
 @pytest.mark.parametrize(
     "name", [r'"TS16 A 1\" R500"', '"TS16 A 1" R500"', '"Leica TS16 A 1" R500"']
 )
 def test_an_instrument_whose_name_has_the_mark_of_an_arcsecond_connects(
-    peer: GeocomPeer, make: Make, name: str
+    bed: GeocomBed, name: str
 ) -> None:
-    peer.answers[5004] = lambda _: f"0,{name}"
-    (identity,) = make().connect()
+    bed.peer.answers[5004] = lambda _: f"0,{name}"
+    (identity,) = bed.make().connect()
     assert identity.model == 'Leica TS16 A 1" R500'
 
 
-def test_another_reflector_than_the_expected_one_is_no_reading(
-    tracker: Quick, peer: GeocomPeer
-) -> None:
-    peer.distance_m = 5.0051
+def test_another_reflector_than_the_expected_one_is_no_reading(tracker: Quick) -> None:
+    tracker.peer.distance_m = 5.0051
     error = measuring(tracker)
     assert (type(error), error.code) == (NoReading, "HC-T16")
 
@@ -433,29 +411,28 @@ def lost(tracker: Quick) -> None:
     ids=["another request", "communication", "no text", "no reply", "no code", "no end"],
 )
 def test_a_reply_that_is_none_ends_the_connection(
-    tracker: Quick, peer: GeocomPeer, reply: Callable[[int], bytes]
+    tracker: Quick, reply: Callable[[int], bytes]
 ) -> None:
-    peer.reply = lambda number, answer: reply(number)
+    tracker.peer.reply = lambda number, answer: reply(number)
     lost(tracker)
 
 
-def test_a_wrong_baud_rate_shows_when_connecting(peer: GeocomPeer, make: Make) -> None:
-    peer.reply = lambda number, answer: b"\x00\xf8\x80\r\n"
-    assert "baud rate" in str(refusal(make().connect))
+def test_a_wrong_baud_rate_shows_when_connecting(bed: GeocomBed) -> None:
+    bed.peer.reply = lambda number, answer: b"\x00\xf8\x80\r\n"
+    assert "baud rate" in str(refusal(bed.make().connect))
 
 
-def test_a_result_of_the_wrong_form_ends_the_connection(tracker: Quick, peer: GeocomPeer) -> None:
-    peer.answers[2108] = lambda _: "0,0.1,0.2"
+def test_a_result_of_the_wrong_form_ends_the_connection(tracker: Quick) -> None:
+    tracker.peer.answers[2108] = lambda _: "0,0.1,0.2"
     lost(tracker)
 
 
-def test_a_late_result_is_not_the_next_points(
-    tracker: Quick, peer: GeocomPeer, time: WireTime
-) -> None:
+def test_a_late_result_is_not_the_next_points(tracker: Quick) -> None:
+    peer = tracker.peer
     held: list[bytes] = []
     right = peer.reply
-    peer.answers[2108] = lambda _: time.silence(0.1)
-    peer.answers[0] = lambda _: time.behind("0", 0.0)  # it lives
+    peer.answers[2108] = lambda _: tracker.time.silence(0.1)
+    peer.answers[0] = lambda _: tracker.time.behind("0", 0.0)  # it lives
     peer.distance_m = 5.001
 
     def holding(number: int, answer: str) -> bytes:
@@ -475,65 +452,62 @@ def test_a_late_result_is_not_the_next_points(
     assert not held
 
 
-def test_a_silent_instrument_is_lost(tracker: Quick, peer: GeocomPeer, time: WireTime) -> None:
-    peer.answers = dict.fromkeys(range(20_000), lambda _: None)
-    time.silence(0.1)
+def test_a_silent_instrument_is_lost(tracker: Quick) -> None:
+    tracker.peer.answers = dict.fromkeys(range(20_000), lambda _: None)
+    tracker.time.silence(0.1)
     lost(tracker)
 
 
 @pytest.mark.parametrize("serial", [False, True])
-def test_a_silent_line_is_asked_about_its_baud_rate_or_port(
-    time: WireTime, make: Make, serial: bool
-) -> None:
+def test_a_silent_line_is_asked_about_its_baud_rate_or_port(bed: GeocomBed, serial: bool) -> None:
     with GeocomPeer(serial=serial) as peer:
         peer.answers = dict.fromkeys(range(20_000), lambda _: None)
         channel = f"{peer.channel}@9600" if serial else peer.channel
-        time.silence(0.1)
-        assert ("9600" if serial else "port") in str(refusal(make(channel=channel).connect))
+        bed.time.silence(0.1)
+        assert ("9600" if serial else "port") in str(refusal(bed.make(channel=channel).connect))
 
 
-def test_answers_to_a_program_that_ran_before_are_passed_over(peer: GeocomPeer, make: Make) -> None:
-    right = peer.reply
+def test_answers_to_a_program_that_ran_before_are_passed_over(bed: GeocomBed) -> None:
+    right = bed.peer.reply
     greeting = [right(4711, "0,1.0,1.0,5.0") + b"?\r\n"]
-    peer.reply = lambda number, answer: (
+    bed.peer.reply = lambda number, answer: (
         (greeting.pop() if greeting else b"") + right(number, answer)
     )
-    tracker = make()
-    tracker.connect()
+    tracker = bed.connect()
     assert tracker.measure(POINT, SMR, 1).samples == 1
 
 
-def test_a_line_that_dies_in_mid_byte_is_lost(make: Make) -> None:
+def test_a_line_that_dies_in_mid_byte_is_lost(bed: GeocomBed) -> None:
     with GeocomPeer(serial=True) as peer:
-        tracker = make(channel=peer.channel)
+        tracker = bed.make(channel=peer.channel)
         tracker.connect()
         peer.answers[2108] = lambda _: peer.pull_out()
         assert measuring(tracker).code == "HC-T02"
         assert refusal(tracker.connect).code == "HC-T01"
 
 
-def test_a_line_that_was_renamed_is_found_by_its_new_name_only(tmp_path: Path, make: Make) -> None:
+def test_a_line_that_was_renamed_is_found_by_its_new_name_only(
+    tmp_path: Path, bed: GeocomBed
+) -> None:
     with GeocomPeer(serial=True) as peer:
         name = tmp_path / "usb-leica"
-        assert refusal(make(channel=str(name)).connect).code == "HC-T01"
+        assert refusal(bed.make(channel=str(name)).connect).code == "HC-T01"
         name.symlink_to(peer.channel)
-        tracker = make(channel=f"{name}@115200")
+        tracker = bed.make(channel=f"{name}@115200")
         assert tracker.connect()[0].address == str(name)
         tracker.close()
         assert os.path.lexists(name)
 
 
-def test_a_stop_ends_a_wait_and_the_motion(
-    tracker: Quick, peer: GeocomPeer, time: WireTime
-) -> None:
+def test_a_stop_ends_a_wait_and_the_motion(tracker: Quick) -> None:
     turning = threading.Event()
-    peer.answers[9027] = lambda _: turning.set()
+    tracker.peer.answers[9027] = lambda _: turning.set()
     with in_thread(lambda: tracker.measure(POINT, SMR, 1), Stopped) as errors:
         turning.wait()
-        time.stop.set()
+        tracker.time.stop.set()
         tracker.stop()
     assert len(errors) == 1
-    peer.aborted.wait()
+    tracker.peer.aborted.wait()
     tracker.close()
     tracker.close()
     tracker.stop()

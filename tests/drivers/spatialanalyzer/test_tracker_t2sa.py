@@ -1,7 +1,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,12 +19,29 @@ from drivers.spatialanalyzer import tracker_t2sa as t2sa
 from drivers.spatialanalyzer.tracker_t2sa import Reply, T2saTracker
 from drivers.tracker_readings import matching_form
 from hilcell.ports import DeviceError, DeviceRefused, NoReading, Stopped, Streams, Tracker
-from tests.drivers.peers import WireTime, closed_behind, in_thread, refusal, wire_time
+from tests.drivers.peers import Bed, WireTime, in_thread, refusal, wire_time
 from tests.drivers.spatialanalyzer.t2sa_peer import POINTS, Answer, T2saPeer
 
 PLACE = np.array([4010.0, -2990.0, 5.0])
 SMR = "SMR 1.5in"
-Make = Callable[..., T2saTracker]
+
+
+class BedTracker(T2saTracker):
+    """A bridge's tracker at its peer."""
+
+    def __init__(self, peer: T2saPeer, time: WireTime, **options: Any) -> None:
+        values = {
+            "host": "127.0.0.1",
+            "port": peer.port,
+            "reflector": SMR,
+            "max_std_mm": 0.05,
+            "find_radius_mm": 5.0,
+        }
+        super().__init__(msgspec.convert(values | options, self.Options), time)
+        self.peer, self.time = peer, time
+
+
+T2saBed = Bed[T2saPeer, BedTracker]
 
 
 @pytest.fixture
@@ -42,33 +60,15 @@ def points(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def peer() -> Iterator[T2saPeer]:
-    with T2saPeer() as peer:
-        yield peer
+def bed(points: Path, time: WireTime) -> Iterator[T2saBed]:
+    build = partial(BedTracker, points=str(points))
+    with T2saPeer() as peer, closing(Bed(peer, time, build)) as bed:
+        yield bed
 
 
 @pytest.fixture
-def make(peer: T2saPeer, points: Path, time: WireTime) -> Iterator[Make]:
-    def build(**options: Any) -> T2saTracker:
-        values = {
-            "host": "127.0.0.1",
-            "port": peer.port,
-            "reflector": SMR,
-            "max_std_mm": 0.05,
-            "find_radius_mm": 5.0,
-            "points": str(points),
-        }
-        kept = msgspec.convert(values | options, T2saTracker.Options)
-        return T2saTracker(kept, time)
-
-    yield from closed_behind(build)
-
-
-@pytest.fixture
-def tracker(make: Make) -> T2saTracker:
-    tracker = make()
-    tracker.connect()
-    return tracker
+def tracker(bed: T2saBed) -> BedTracker:
+    return bed.connect()
 
 
 def result(path: str, xyz_mm: Any) -> str:
@@ -77,26 +77,26 @@ def result(path: str, xyz_mm: Any) -> str:
     return f"ACK-300 Single Point Measurement {path} result {x},{y},{z} today"
 
 
-def measuring(tracker: T2saTracker) -> DeviceError:
+def measuring(tracker: BedTracker) -> DeviceError:
     """Return the error of a measurement."""
     return refusal(lambda: tracker.measure(PLACE, SMR, 1))
 
 
-def test_it_is_a_tracker_that_does_not_stream(tracker: T2saTracker, time: WireTime) -> None:
-    time.wait(1.0)
+def test_it_is_a_tracker_that_does_not_stream(tracker: BedTracker) -> None:
+    tracker.time.wait(1.0)
     port: Tracker = tracker
     assert not isinstance(port, Streams)
     reading = port.measure(PLACE, SMR, 3)
     np.testing.assert_allclose(reading.xyz_mm, PLACE, atol=1e-3)
     assert (reading.samples, reading.reflector, reading.air) == (3, SMR, None)
-    assert reading.taken_s == time.pc_s()
+    assert reading.taken_s == tracker.time.pc_s()
 
 
-def test_connecting_sets_the_bridge_and_compares_points(peer: T2saPeer, make: Make) -> None:
+def test_connecting_sets_the_bridge_and_compares_points(bed: T2saBed) -> None:
     stated = {"instrument": "API T3", "plate": "T3-1234", "working_frame": "TRACKER"}
     stated |= {"profile": "Single Pt. To SA"}
-    (identity,) = make(power_lock=False, **stated).connect()
-    assert peer.requests == [
+    (identity,) = bed.make(power_lock=False, **stated).connect()
+    assert bed.peer.requests == [
         "?STAT",
         "!SET_SIM:0",
         "?LSTA",
@@ -110,40 +110,40 @@ def test_connecting_sets_the_bridge_and_compares_points(peer: T2saPeer, make: Ma
     assert (identity.kind, identity.simulated) == ("tracker", False)
 
 
-def test_a_bridge_that_says_so_is_simulated(peer: T2saPeer, make: Make) -> None:
-    peer.answers["?STAT"] = lambda _: "ACK-300 READY (simulated);01/05/2026 8:00:00"
-    assert make().connect()[0].simulated
+def test_a_bridge_that_says_so_is_simulated(bed: T2saBed) -> None:
+    bed.peer.answers["?STAT"] = lambda _: "ACK-300 READY (simulated);01/05/2026 8:00:00"
+    assert bed.make().connect()[0].simulated
 
 
-def test_an_instrument_that_stays_simulated_is_refused(peer: T2saPeer, make: Make) -> None:
-    peer.answers["!SET_SIM"] = lambda _: "ERR-337 Failed to set simulation"
-    error = refusal(make().connect)
+def test_an_instrument_that_stays_simulated_is_refused(bed: T2saBed) -> None:
+    bed.peer.answers["!SET_SIM"] = lambda _: "ERR-337 Failed to set simulation"
+    error = refusal(bed.make().connect)
     assert (type(error), error.code) == (DeviceRefused, "HC-T71")
 
 
-def test_a_result_that_is_the_nominal_point_was_not_measured(
-    tracker: T2saTracker, peer: T2saPeer
-) -> None:
-    peer.at_mm = np.array(POINTS["P1"]) + 0.3
-    error = refusal(lambda: tracker.measure(peer.at_mm, SMR, 1))  # the reflector is expected there
+def test_a_result_that_is_the_nominal_point_was_not_measured(tracker: BedTracker) -> None:
+    tracker.peer.at_mm = np.array(POINTS["P1"]) + 0.3
+    error = refusal(
+        lambda: tracker.measure(tracker.peer.at_mm, SMR, 1)
+    )  # the reflector is expected there
     assert (type(error), error.code) == (DeviceRefused, "HC-T71")
 
 
-def test_a_cold_laser_is_switched_on_and_awaited(peer: T2saPeer, make: Make) -> None:
+def test_a_cold_laser_is_switched_on_and_awaited(bed: T2saBed) -> None:
     states = iter(["LOFF", "WARM, 2.00 seconds", "WARM, 1.00 seconds", "LON"])
-    peer.answers["?LSTA"] = lambda _: f"ACK-300 {next(states)}"
-    make().connect()
-    assert peer.asked("!LST") == ["1"]
-    assert len(peer.asked("?LSTA")) == 4
+    bed.peer.answers["?LSTA"] = lambda _: f"ACK-300 {next(states)}"
+    bed.make().connect()
+    assert bed.peer.asked("!LST") == ["1"]
+    assert len(bed.peer.asked("?LSTA")) == 4
 
 
 @pytest.mark.parametrize(("state", "code"), [("LNC", "HC-T70"), ("WARM, 9.00 seconds", "HC-T19")])
 def test_a_laser_that_does_not_come_is_named(
-    peer: T2saPeer, make: Make, monkeypatch: pytest.MonkeyPatch, state: str, code: str
+    bed: T2saBed, monkeypatch: pytest.MonkeyPatch, state: str, code: str
 ) -> None:
     monkeypatch.setattr(t2sa.T2saTracker, "WARM_S", 0.05)
-    peer.laser = state
-    error = refusal(make().connect)
+    bed.peer.laser = state
+    error = refusal(bed.make().connect)
     assert (type(error), error.code) == (DeviceError, code)
 
 
@@ -152,11 +152,9 @@ def test_a_laser_that_does_not_come_is_named(
     [("!SET_STATION_LOCK", 331), ("SET_POWER_LOCK", 317), ("!SINGLE_POINT_MEAS_PROFILE", 307),
      ("!SET_WORKING_FRAME", 314)],
 )  # fmt: skip
-def test_a_setting_that_is_refused_is_named(
-    peer: T2saPeer, make: Make, command: str, code: int
-) -> None:
-    peer.answers[command] = lambda _: f"ERR-{code} Failed."
-    error = refusal(make(profile="x", working_frame="y").connect)
+def test_a_setting_that_is_refused_is_named(bed: T2saBed, command: str, code: int) -> None:
+    bed.peer.answers[command] = lambda _: f"ERR-{code} Failed."
+    error = refusal(bed.make(profile="x", working_frame="y").connect)
     assert (type(error), error.code) == (DeviceRefused, "HC-T06")
 
 
@@ -165,56 +163,52 @@ def test_a_setting_that_is_refused_is_named(
     [(1 / 25.4, 0.0, "inches"), (1.0, 0.02, "4000.020"), (np.nan, 0.0, "nan")],
 )
 def test_a_job_with_other_points_is_refused(
-    peer: T2saPeer, make: Make, scale: float, shift: float, words: str
+    bed: T2saBed, scale: float, shift: float, words: str
 ) -> None:
     def position(path: str) -> str:
         x, y, z = scale * np.array(POINTS[path[-2:]])
         return f"ACK-300 Measured single pt {path} result: X:{x + shift};Y:{y};Z:{z};today"
 
-    peer.answers["?POINT_POS"] = position
-    error = refusal(make().connect)
+    bed.peer.answers["?POINT_POS"] = position
+    error = refusal(bed.make().connect)
     assert (type(error), error.code) == (DeviceRefused, "HC-T73")
     assert words in error.found
 
 
-def test_a_point_that_the_job_lacks_is_named(peer: T2saPeer, make: Make) -> None:
-    peer.answers["?POINT_POS"] = lambda _: "ERR-306 Did not find or set point group."
-    assert refusal(make().connect).code == "HC-T72"
+def test_a_point_that_the_job_lacks_is_named(bed: T2saBed) -> None:
+    bed.peer.answers["?POINT_POS"] = lambda _: "ERR-306 Did not find or set point group."
+    assert refusal(bed.make().connect).code == "HC-T72"
 
 
 @pytest.mark.parametrize("name", ["", "/nowhere/points.csv"])
-def test_a_list_that_is_missing_is_named_before_anything_is_sent(
-    peer: T2saPeer, make: Make, name: str
-) -> None:
-    error = refusal(make(points=name).connect)
+def test_a_list_that_is_missing_is_named_before_anything_is_sent(bed: T2saBed, name: str) -> None:
+    error = refusal(bed.make(points=name).connect)
     assert (type(error), error.code) == (DeviceRefused, "HC-T75")
-    assert not peer.requests
+    assert not bed.peer.requests
 
 
-def test_a_busy_bridge_is_awaited_and_not_for_ever(peer: T2saPeer, make: Make) -> None:
+def test_a_busy_bridge_is_awaited_and_not_for_ever(bed: T2saBed) -> None:
     states = iter(["ERR-201 busy", "ACK-300 EMP", "ACK-300 Instrument is connected"])
-    peer.answers["?STAT"] = lambda _: next(states)
-    make().connect()
+    bed.peer.answers["?STAT"] = lambda _: next(states)
+    bed.make().connect()
     for line, alarm in (("ACK-300 2FACE", "T21"), ("ERR-201 busy", "T21"), ("ERR-341 -", "T70")):
-        peer.answers["?STAT"] = partial(str.format, line)
-        error = refusal(make().connect)
+        bed.peer.answers["?STAT"] = partial(str.format, line)
+        error = refusal(bed.make().connect)
         assert (type(error), error.code) == (DeviceError, f"HC-{alarm}")
-    assert not peer.halted.is_set()  # another program's measurement is not ended
+    assert not bed.peer.halted.is_set()  # another program's measurement is not ended
 
 
 # -- measuring ----------------------------------------------------------------------------------
 
 
-def test_one_reading_is_of_two_measurements_with_their_spread(
-    tracker: T2saTracker, peer: T2saPeer
-) -> None:
+def test_one_reading_is_of_two_measurements_with_their_spread(tracker: BedTracker) -> None:
     places = iter([PLACE, PLACE + [0.02, 0.0, 0.0]])
-    peer.answers["!MEAS_SINGLE_POINT"] = lambda path: result(path, next(places))
+    tracker.peer.answers["!MEAS_SINGLE_POINT"] = lambda path: result(path, next(places))
     reading = tracker.measure(PLACE, SMR, 1)
     assert reading.samples == 2
     np.testing.assert_allclose(reading.xyz_mm, PLACE + [0.01, 0, 0], atol=1e-9)
     np.testing.assert_allclose(reading.std_mm, [0.02 / np.sqrt(2), 0, 0], atol=1e-9)
-    assert peer.asked("!MEAS_SINGLE_POINT") == ["A;HILCELL;P1"] * 2
+    assert tracker.peer.asked("!MEAS_SINGLE_POINT") == ["A;HILCELL;P1"] * 2
 
 
 P1 = "A;HILCELL;P1"
@@ -236,39 +230,35 @@ P1 = "A;HILCELL;P1"
     ],
 )  # fmt: skip
 def test_a_bad_result_is_no_reading(
-    tracker: T2saTracker, peer: T2saPeer, lines: list[str], kind: type, code: str
+    tracker: BedTracker, lines: list[str], kind: type, code: str
 ) -> None:
     answers = iter(lines)
-    peer.answers["!MEAS_SINGLE_POINT"] = lambda _: next(answers, lines[-1])
+    tracker.peer.answers["!MEAS_SINGLE_POINT"] = lambda _: next(answers, lines[-1])
     error = measuring(tracker)
     assert (type(error), error.code) == (kind, code)
 
 
-def test_a_place_beside_every_point_is_refused_before_anything_is_sent(
-    tracker: T2saTracker, peer: T2saPeer
-) -> None:
-    peer.requests.clear()
+def test_a_place_beside_every_point_is_refused_before_anything_is_sent(tracker: BedTracker) -> None:
+    tracker.peer.requests.clear()
     error = refusal(lambda: tracker.measure(np.array([1000.0, 2000.0, 0.0]), SMR, 1))
     assert (type(error), error.code) == (DeviceError, "HC-T74")
-    assert not peer.requests
+    assert not tracker.peer.requests
 
 
-def test_another_reflector_is_avoided_by_other_points(tracker: T2saTracker, peer: T2saPeer) -> None:
-    honest = peer.answers["!MEAS_SINGLE_POINT"]
-    peer.answers["!MEAS_SINGLE_POINT"] = lambda path: (
+def test_another_reflector_is_avoided_by_other_points(tracker: BedTracker) -> None:
+    honest = tracker.peer.answers["!MEAS_SINGLE_POINT"]
+    tracker.peer.answers["!MEAS_SINGLE_POINT"] = lambda path: (
         honest(path) if path.endswith("P3") else result(path, (4100, -2990, 5))
     )
     assert tracker.measure(PLACE, SMR, 1).samples == 2
-    assert peer.asked("!MEAS_SINGLE_POINT") == [f"A;HILCELL;P{n}" for n in (1, 3, 3)]
+    assert tracker.peer.asked("!MEAS_SINGLE_POINT") == [f"A;HILCELL;P{n}" for n in (1, 3, 3)]
 
 
-def test_another_reflector_from_everywhere_is_no_reading(
-    tracker: T2saTracker, peer: T2saPeer
-) -> None:
-    peer.at_mm = PLACE + [0.0, 5.1, 0.0]
+def test_another_reflector_from_everywhere_is_no_reading(tracker: BedTracker) -> None:
+    tracker.peer.at_mm = PLACE + [0.0, 5.1, 0.0]
     error = measuring(tracker)
     assert (type(error), error.code) == (NoReading, "HC-T16")
-    assert peer.asked("!MEAS_SINGLE_POINT") == [f"A;HILCELL;P{n}" for n in (1, 3)]
+    assert tracker.peer.asked("!MEAS_SINGLE_POINT") == [f"A;HILCELL;P{n}" for n in (1, 3)]
 
 
 @pytest.mark.parametrize(
@@ -286,40 +276,40 @@ def test_another_reflector_from_everywhere_is_no_reading(
         (399, "HC-T24", DeviceError),
     ],
 )
-def test_codes_have_their_alarms(
-    tracker: T2saTracker, peer: T2saPeer, code: int, alarm: str, kind: type
-) -> None:
-    peer.answers["!MEAS_SINGLE_POINT"] = lambda _: f"ERR-{code} Failed."
+def test_codes_have_their_alarms(tracker: BedTracker, code: int, alarm: str, kind: type) -> None:
+    tracker.peer.answers["!MEAS_SINGLE_POINT"] = lambda _: f"ERR-{code} Failed."
     error = measuring(tracker)
     assert (type(error), error.code, error.fields) == (kind, alarm, {"status": code})
 
 
-def test_a_busy_bridge_is_asked_again(tracker: T2saTracker, peer: T2saPeer) -> None:
-    honest, busy = peer.answers["!MEAS_SINGLE_POINT"], iter([True, True, False, False])
-    peer.answers["!MEAS_SINGLE_POINT"] = lambda path: "ERR-201 busy" if next(busy) else honest(path)
+def test_a_busy_bridge_is_asked_again(tracker: BedTracker) -> None:
+    honest, busy = tracker.peer.answers["!MEAS_SINGLE_POINT"], iter([True, True, False, False])
+    tracker.peer.answers["!MEAS_SINGLE_POINT"] = lambda path: (
+        "ERR-201 busy" if next(busy) else honest(path)
+    )
     tracker.measure(PLACE, SMR, 1)
-    peer.answers["!MEAS_SINGLE_POINT"] = lambda _: "ERR-201 busy"
+    tracker.peer.answers["!MEAS_SINGLE_POINT"] = lambda _: "ERR-201 busy"
     assert isinstance(measuring(tracker), NoReading)
 
 
 @pytest.mark.parametrize("group", ["", "A;B", "A\r\n!LST:2", "A:B"])
-def test_a_group_that_is_no_name_is_refused_with_the_options(make: Make, group: str) -> None:
+def test_a_group_that_is_no_name_is_refused_with_the_options(bed: T2saBed, group: str) -> None:
     with pytest.raises(msgspec.ValidationError, match="group"):
-        make(group=group)
+        bed.make(group=group)
 
 
 # -- the wire -----------------------------------------------------------------------------------
 
 
-def test_letters_of_any_alphabet_in_a_date_are_read_over(
-    tracker: T2saTracker, peer: T2saPeer
-) -> None:
-    honest = peer.answers["!MEAS_SINGLE_POINT"]
-    peer.answers["!MEAS_SINGLE_POINT"] = lambda path: f"{honest(path)} 2026/1/5 \xcf\xc2\xce\xe7"
+def test_letters_of_any_alphabet_in_a_date_are_read_over(tracker: BedTracker) -> None:
+    honest = tracker.peer.answers["!MEAS_SINGLE_POINT"]
+    tracker.peer.answers["!MEAS_SINGLE_POINT"] = lambda path: (
+        f"{honest(path)} 2026/1/5 \xcf\xc2\xce\xe7"
+    )
     assert tracker.measure(PLACE, SMR, 1).samples == 2
 
 
-def lost(tracker: T2saTracker) -> None:
+def lost(tracker: BedTracker) -> None:
     assert measuring(tracker).code == "HC-T02"
     assert measuring(tracker).code == "HC-T34"
 
@@ -333,10 +323,8 @@ def lost(tracker: T2saTracker) -> None:
         "x" * 5000,
     ],
 )
-def test_a_line_that_is_no_answer_ends_the_connection(
-    tracker: T2saTracker, peer: T2saPeer, line: str
-) -> None:
-    peer.answers["!MEAS_SINGLE_POINT"] = lambda _: line
+def test_a_line_that_is_no_answer_ends_the_connection(tracker: BedTracker, line: str) -> None:
+    tracker.peer.answers["!MEAS_SINGLE_POINT"] = lambda _: line
     lost(tracker)
 
 
@@ -348,14 +336,12 @@ def keeps_silent(peer: T2saPeer, time: WireTime) -> Answer:
     return honest
 
 
-def test_a_measurement_without_a_reply_is_halted(
-    tracker: T2saTracker, peer: T2saPeer, time: WireTime
-) -> None:
-    honest = keeps_silent(peer, time)
+def test_a_measurement_without_a_reply_is_halted(tracker: BedTracker) -> None:
+    honest = keeps_silent(tracker.peer, tracker.time)
     error = measuring(tracker)
     assert (type(error), error.code) == (NoReading, "HC-T13")
-    assert peer.requests[-2:] == ["!HALT", "?LSTA"]
-    peer.answers["!MEAS_SINGLE_POINT"] = honest
+    assert tracker.peer.requests[-2:] == ["!HALT", "?LSTA"]
+    tracker.peer.answers["!MEAS_SINGLE_POINT"] = honest
     tracker.measure(PLACE, SMR, 1)
 
 
@@ -368,61 +354,53 @@ def test_a_measurement_without_a_reply_is_halted(
     ],
 )
 def test_the_reply_of_a_halted_measurement_is_not_the_next_ones(
-    tracker: T2saTracker, peer: T2saPeer, time: WireTime, late: str, asked: str
+    tracker: BedTracker, late: str, asked: str
 ) -> None:
-    honest = keeps_silent(peer, time)
-    right = peer.answers[asked]
-    peer.answers[asked] = lambda text: f"{late}\r\n{right(text)}"
+    honest = keeps_silent(tracker.peer, tracker.time)
+    right = tracker.peer.answers[asked]
+    tracker.peer.answers[asked] = lambda text: f"{late}\r\n{right(text)}"
     assert isinstance(measuring(tracker), NoReading)
-    peer.answers["!MEAS_SINGLE_POINT"] = honest
+    tracker.peer.answers["!MEAS_SINGLE_POINT"] = honest
     np.testing.assert_allclose(tracker.measure(PLACE, SMR, 1).xyz_mm, PLACE, atol=1e-3)
 
 
 @pytest.mark.parametrize("silent", ["!HALT", "?LSTA"])
-def test_a_halt_that_is_not_confirmed_ends_the_connection(
-    tracker: T2saTracker, peer: T2saPeer, time: WireTime, silent: str
-) -> None:
-    keeps_silent(peer, time)
-    peer.answers[silent] = lambda _: time.silence(0.1)
+def test_a_halt_that_is_not_confirmed_ends_the_connection(tracker: BedTracker, silent: str) -> None:
+    keeps_silent(tracker.peer, tracker.time)
+    tracker.peer.answers[silent] = lambda _: tracker.time.silence(0.1)
     lost(tracker)
 
 
-def test_a_result_of_a_program_that_ran_before_is_passed_over(peer: T2saPeer, make: Make) -> None:
+def test_a_result_of_a_program_that_ran_before_is_passed_over(bed: T2saBed) -> None:
     old = result("A;HILCELL;P1", (1.0, 2.0, 3.0))
-    peer.answers["?STAT"] = lambda _: f"{old}\r\nACK-300 Instrument is connected"
-    tracker = make()
-    tracker.connect()
+    bed.peer.answers["?STAT"] = lambda _: f"{old}\r\nACK-300 Instrument is connected"
+    tracker = bed.connect()
     assert tracker.measure(PLACE, SMR, 1).samples == 2
 
 
-def test_a_connection_that_breaks_is_lost(tracker: T2saTracker, peer: T2saPeer) -> None:
-    peer.drop()
+def test_a_connection_that_breaks_is_lost(tracker: BedTracker) -> None:
+    tracker.peer.drop()
     lost(tracker)
 
 
-def test_a_list_that_vanished_is_kept_and_compared(
-    peer: T2saPeer, make: Make, points: Path
-) -> None:
-    tracker = make()
-    tracker.connect()
+def test_a_list_that_vanished_is_kept_and_compared(bed: T2saBed, points: Path) -> None:
+    tracker = bed.connect()
     points.unlink()
-    peer.requests.clear()
+    bed.peer.requests.clear()
     tracker.connect()
-    assert len(peer.asked("?POINT_POS")) == len(POINTS)
+    assert len(bed.peer.asked("?POINT_POS")) == len(POINTS)
 
 
-def test_a_stop_ends_a_wait_and_halts_the_measurement(
-    tracker: T2saTracker, peer: T2saPeer, time: WireTime
-) -> None:
+def test_a_stop_ends_a_wait_and_halts_the_measurement(tracker: BedTracker) -> None:
     begun = threading.Event()
-    peer.answers["!MEAS_SINGLE_POINT"] = lambda _: begun.set()
+    tracker.peer.answers["!MEAS_SINGLE_POINT"] = lambda _: begun.set()
     with in_thread(lambda: tracker.measure(PLACE, SMR, 1), Stopped) as errors:
         begun.wait()
-        time.stop.set()
+        tracker.time.stop.set()
         tracker.stop()
     assert len(errors) == 1
-    peer.halted.wait()
-    time.stop.clear()
+    tracker.peer.halted.wait()
+    tracker.time.stop.clear()
     assert measuring(tracker).code == "HC-T34"
 
 
