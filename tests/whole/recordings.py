@@ -35,6 +35,11 @@ PAIRS = {
 PAIRS[SWEPT] = [*PAIRS["kuka-c3,leica-emscon,canopen"], *sets({"sweeps.axes": "[1]"})]
 
 
+def played(folder: Path) -> dict[str, str]:
+    """Return the values of a cell file that has a recording in place of its devices."""
+    return {"simulation.simulator": "recorded", "simulation.data": str(folder)}
+
+
 def facts(folder: Path) -> dict[str, Any]:
     """Return what a run has journalled: its devices, and its points by their keys."""
     log = read_log(folder)

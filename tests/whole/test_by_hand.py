@@ -19,7 +19,7 @@ from tests.whole.bench import (
     simulation,
     sweep,
 )
-from tests.whole.threaded import Event, Stands, ThreadedRun, is_state
+from tests.whole.threaded import Event, Stands, ThreadedRun, is_state, never
 
 pytestmark = pytest.mark.waits
 BY_HAND = SMALL | {"layout.reflectors": "by_hand"}
@@ -72,10 +72,6 @@ class Operator:
 
 def suspended(event: Event) -> bool:
     return is_state(event, "suspended")
-
-
-def never(_: Event) -> bool:
-    return False
 
 
 def carried(cell: Simulation, runs: Path, *words: str, stands: Stands = never) -> ThreadedRun:
@@ -206,9 +202,3 @@ def test_an_unattended_run_with_one_reflector_is_refused(tmp_path: Path, cell: S
     refused = command("resume", "hand", "--runs", tmp_path, "--unattended")
     assert refused.returncode == 2
     assert "layout.reflectors" in refused.stderr
-
-
-def test_a_campaign_needs_mounted_reflectors() -> None:
-    done = command("run", "campaign", "--dry-run", *sets(BY_HAND))
-    assert done.returncode == 2
-    assert "by_hand" in done.stderr

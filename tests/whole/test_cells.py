@@ -87,12 +87,6 @@ def check_programs(runs: Path) -> None:
 # -- without a rail ---------------------------------------------------------------------------
 
 
-def test_a_procedure_of_a_rail_is_refused(tmp_path: Path) -> None:
-    done = command("run", "touch", *FIXED, "--runs", tmp_path)
-    assert done.returncode == 2
-    assert "touch refused before anything moves: cell fixed has no rail" in done.stderr
-
-
 @pytest.mark.nightly
 def test_a_robot_on_the_floor_is_calibrated_and_tested_with_its_correction(tmp_path: Path) -> None:
     quick, machine = {"plan.quick": "true"}, (*FIXED, "--machine-seed", "7")

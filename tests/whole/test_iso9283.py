@@ -163,12 +163,6 @@ def test_its_report_has_its_figures(tested: GoldenRun, tmp_path: Path) -> None:
     assert f"{0.8 * 3**0.5 * 900:.3f}" in page  # P2 to P4: 80 % of the diagonal
 
 
-def test_a_calibration_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    done = ran(tmp_path, "iso9283", {"iso9283.calibration": "nothing"}, *FIXED).done
-    assert done.returncode == 2
-    assert "nothing" in done.stderr
-
-
 @pytest.mark.nightly
 def test_a_bumped_tracker_costs_the_cycles_since_its_proof(
     tested: GoldenRun, tmp_path: Path

@@ -91,10 +91,6 @@ def test_a_slide_that_runs_too_fast_is_stopped(tmp_path: Path) -> None:
     assert (end["exit"], end["error"]["code"]) == (3, "HC-R33")
 
 
-def test_a_robot_that_moves_no_slide_is_refused_before_anything_moves(tmp_path: Path) -> None:
-    assert ran(tmp_path, "calibrate", E1 | {"robot.driver": "x"}).done.returncode == 2
-
-
 EKI = {"robot.driver": "kuka-eki"}
 QUICK = EKI | TOTAL_STATION  # in paced time a laser tracker starts for half a minute
 MOVE = 1
@@ -153,10 +149,3 @@ def test_a_killed_engine_leaves_a_braked_robot_and_resume_goes_on(tmp_path: Path
         done = command("resume", engine.run, "--unattended", "--runs", tmp_path, "--json")
         assert end_of(done)["exit"] == 0, done.stderr
         assert abs(float(ask(cell, -3)["A1"])) < 0.01
-
-
-def test_the_slide_is_moved_over_the_same_channel(tmp_path: Path) -> None:
-    short = {"survey.to_mm": "600.0", "survey.step_mm": "200.0", "survey.repeats": "4"}
-    run = ran(tmp_path, "rail-survey", EKI | E1 | short)
-    assert run.end["exit"] == 0, run.done.stderr
-    assert '"model":"E1 of #KR210R2700_2 C4 FLR SIMULATED"' in run.done.stdout

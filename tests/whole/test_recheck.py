@@ -8,7 +8,7 @@ import pytest
 from hilcell.calibration import decision_rule
 from hilcell.calibration.file import read_calibration
 from hilcell.calibration.recheck import RecheckResult
-from hilcell.journal.runs import CALIBRATION, read_log
+from hilcell.journal.runs import CALIBRATION
 from hilcell.model.verdicts import Limits
 from tests.whole.bench import SMALL, command, corrected, ran, sets, simulation
 from tests.whole.golden import GoldenRuns
@@ -49,7 +49,7 @@ def test_a_lost_zero_is_updated_and_the_update_is_valid(
     assert corrected("V", targets, "S1100", out, "--runs", runs).returncode == 2
     monkeypatch.setattr(decision_rule, "tolerance_limits", lambda cell: Limits(0.1, 0.11, None))
     for run in (first, again):  # its base moved; as predicted: both out of such a tolerance
-        result = RecheckResult.of(read_log(run.folder))
+        result = RecheckResult.of(run.log)
         assert (result.verdict, result.in_tolerance) == ("redo", False)
         assert "Calibrate again: the errors are as predicted, but out of tolerance" in result.text
 
@@ -93,14 +93,6 @@ def test_reoriented_poses_tell_a_slipped_mount_from_a_moved_base(tmp_path: Path)
         "robot.mount_slip": ("redo", True),
         "robot.lost_zero": ("update", False),
     }
-
-
-def test_without_a_calibration_or_targets_nothing_begins(tmp_path: Path) -> None:
-    done = command("run", "targets", "--runs", tmp_path)
-    assert done.returncode == 2
-    assert "--set targets.file=FILE" in done.stderr
-    assert ran(tmp_path, "recheck").done.returncode == 2
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_dry_run_has_ten_points(golden: GoldenRuns, tmp_path: Path) -> None:

@@ -55,6 +55,7 @@ from tests.whole.recordings import (
     facts,
     joints_deg,
     places_mm,
+    played,
     procedure,
     record,
 )
@@ -69,8 +70,7 @@ JOINT_DEG = 0.002  # a robot of Universal Robots dithers, and any of its states 
 
 def repeat(pair: str, recording: Path, runs: Path) -> tuple[int, Path]:
     """Run again with a recording in place of the devices; return exit code and folder."""
-    replayed = {"simulation.simulator": "recorded", "simulation.data": str(recording)}
-    wanted: list[str | Path] = [*PAIRS[pair], *sets(SMALL | replayed)]
+    wanted: list[str | Path] = [*PAIRS[pair], *sets(SMALL | played(recording))]
     wanted += ["--unattended", "--runs", runs, "--name", "again"]
     return command("run", procedure(pair), *wanted).returncode, runs / "again"
 
@@ -184,7 +184,7 @@ def test_a_recording_of_another_driver_is_refused_with_its_name(tmp_path: Path) 
     folder.mkdir()
     cell = load_cell("paper")
     WireRecording(cell, placeholder_addresses(cell), folder, HEAD).close()
-    drivers = {"simulation.simulator": "recorded", "simulation.data": str(folder)}
+    drivers = played(folder)
     check_options(load_cell("paper", drivers))
     cell = load_cell("paper", drivers | {"tracker.driver": "leica-geocom"})
     wanted = "with driver 'leica-emscon', here it is 'leica-geocom'; add --set tracker.driver=leica"
@@ -194,15 +194,6 @@ def test_a_recording_of_another_driver_is_refused_with_its_name(tmp_path: Path) 
         check_options(load_cell("paper", drivers | {"robot.driver": "mine"}))
 
 
-def test_a_folder_without_recordings_is_refused() -> None:
-    done = command(
-        "run", "home",
-        *sets({"simulation.simulator": "recorded", "simulation.data": "/nowhere"}),
-    )  # fmt: skip
-    assert done.returncode == 2
-    assert "make one with `run --record-wire`" in done.stderr
-
-
 @pytest.mark.parametrize("wire", ["robot", "robot.stop", "rail.strip", "tracker"])
 def test_a_wire_without_a_recording_never_reaches_the_device(wire: str, tmp_path: Path) -> None:
     """A replay without one file spoke to what stands at the address in the cell file."""
@@ -210,19 +201,9 @@ def test_a_wire_without_a_recording_never_reaches_the_device(wire: str, tmp_path
     shutil.copytree(KEPT / pair, folder)
     (folder / f"{wire}{SUFFIX}{PACKED}").unlink()
     address = ["--set", "tracker.options.channel=socket://127.0.0.1:1"]
-    replayed = {"simulation.simulator": "recorded", "simulation.data": str(folder)}
-    done = command("run", "home", *PAIRS[pair], *address, *sets(replayed))
+    done = command("run", "home", *PAIRS[pair], *address, *sets(played(folder)))
     assert done.returncode == 2
     assert f"{folder}: no {wire}{SUFFIX}; use the whole folder" in done.stderr
-
-
-def test_a_can_interface_is_never_opened_by_a_replay() -> None:
-    folder = KEPT / "kuka-c3,leica-emscon,canopen"
-    replayed = {"simulation.simulator": "recorded", "simulation.data": str(folder)}
-    can = {"rail.options.interface": "socketcan", "rail.options.channel": "can0"}
-    done = command("run", "home", "--cell", "paper", *sets(can | replayed))
-    assert done.returncode == 2
-    assert "rail: can0 is a CAN interface, of which no recording can be played" in done.stderr
 
 
 # -- the relay -------------------------------------------------------------------------------------

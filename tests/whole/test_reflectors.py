@@ -8,18 +8,13 @@ import pytest
 
 from hilcell.run.control import PromptStatus, order
 from tests.whole.bench import sets, simulation
-from tests.whole.threaded import Event, ThreadedRun
+from tests.whole.threaded import Event, ThreadedRun, is_state, never
 
 LONG_MM = 0.15  # the prism of the flange's reflector
 
 
 def asks_or_ends(event: Event) -> bool:
-    asks = event["kind"] == "state" and event["to"] == "suspended"
-    return bool(asks or event["kind"] == "end")
-
-
-def never(_: Event) -> bool:
-    return False
+    return is_state(event, "suspended") or event["kind"] == "end"
 
 
 def asked(run: ThreadedRun) -> PromptStatus:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import socket
 from pathlib import Path
+from shlex import quote, split
 
 import pytest
 
@@ -14,7 +15,6 @@ from tests.whole.bench import (
     end_of,
     events,
     ran,
-    sets,
     shop_cell,
     shop_values,
     sim_command,
@@ -52,6 +52,71 @@ def test_refused_before_anything_starts(tmp_path: Path, words: list[str], part: 
     assert not (tmp_path / "runs").exists()
     if "calibrat" not in words:
         assert command("check", *[w for w in words if w != "--cell"] or ["x"]).returncode == 2
+
+
+RECORDED = "--set simulation.simulator=recorded --set simulation.data="
+CAN = "--set rail.options.interface=socketcan --set rail.options.channel=can0"
+WRONG = "--set simulation.simulator=papper --set tracker.driver=leika"
+WRONG += " --set rail.options.bitrate=5 --set robot.options.prot=1"
+KEPT = "tests/wires/kuka-c3,leica-emscon,canopen"
+BIGGEST_SEED, FASTEST = "9223372036854775807", "1e+06"
+# Orders that make no sense, and parts of what is said of them.
+SENSELESS = [
+    ("", []),
+    ("dance", []),
+    ("run --set x", []),
+    ("run --set \"rail.speed_mm_s=1.0\nname='x'\"", ["KEY=VALUE"]),
+    ("run --seed -1", [BIGGEST_SEED]),
+    ("run --seed 9223372036854775808", [BIGGEST_SEED]),
+    ("run --speed banana", [FASTEST]),
+    ("run --speed nan", [FASTEST]),
+    ("run --speed 1e7", [FASTEST]),
+    ("run --speed 0", []),
+    *(
+        (f"run --name {quote(name)}", ["--name"])
+        for name in ("", "../x", ".hidden", "last", "x" * 101, "a\nb", "ä/")
+    ),
+    ("run --set simulation.address=:::", [":::"]),
+    ("run --set simulation.address=x", ["x"]),
+    ("run touch --cell fixed", ["touch refused before anything moves: cell fixed has no rail"]),
+    ("run iso9283 --cell fixed --set iso9283.calibration=nothing", ["nothing"]),
+    ("run campaign --dry-run --set layout.reflectors=by_hand", ["by_hand"]),
+    ("run --unattended --set rail.driver=kuka-e1 --set robot.driver=x", []),
+    ("run targets", ["--set targets.file=FILE"]),
+    ("run recheck --unattended", []),
+    (f"run home {RECORDED}/nowhere", ["make one with `run --record-wire`"]),
+    (f"run home {CAN} {RECORDED}{KEPT}", ["rail: can0 is a CAN interface, of which no recording"]),
+    (f"check paper {WRONG}", ["'papper'", "bitrate", "prot", "'leika'"]),
+    ("sim --set simulation.address=127.0.0.1:1 --ports rail=7", ["simulation.address"]),
+    *(
+        (f"sim --ports={ports}", ["--ports"])
+        for ports in ("rail", "rial=1", "rail=0", "rail=65536", "rail=1,rail=2", "")
+    ),
+    ("study report", ["folder"]),
+    ("study report r", ["folder"]),
+    ("study a.toml b", ["'b'"]),
+    ("study report r --workers 2", ["--workers"]),
+    ("study report r --dry-run", ["--dry-run"]),
+    ("study a.toml --workers 0", ["--workers"]),
+    ("study a.toml --scheduler host", ["--scheduler"]),
+    ("study a.toml --workers 2 --scheduler tcp://h:1", ["--scheduler"]),
+]
+
+
+@pytest.mark.parametrize(("order", "parts"), SENSELESS)
+def test_an_order_that_makes_no_sense(tmp_path: Path, order: str, parts: list[str]) -> None:
+    words = split(order)
+    done = command(*words, *(("--runs", tmp_path / "runs") if words[:1] == ["run"] else ()))
+    assert (done.returncode, done.stdout) == (2, ""), done.stderr
+    assert [part for part in parts if part not in done.stderr] == []
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_simulated_cell_that_is_not_there(tmp_path: Path) -> None:
+    address = "127.0.0.1:1"
+    done = command("run", "--runs", tmp_path, "--set", f"simulation.address={address}")
+    assert done.returncode == 3, done.stderr
+    assert address in done.stderr
 
 
 def test_dry_run_opens_nothing_and_prints_the_plan(tmp_path: Path) -> None:
@@ -114,53 +179,12 @@ def test_speed_is_for_simulated_cells(tmp_path: Path) -> None:
     assert command("run", *words).returncode == 2
 
 
-@pytest.mark.parametrize(
-    ("words", "part"),
-    [
-        (["run", "--seed", "-1"], "9223372036854775807"),
-        (["run", "--seed", "9223372036854775808"], "9223372036854775807"),
-        (["run", "--speed", "banana"], "1e+06"),
-        (["run", "--speed", "nan"], "1e+06"),
-        (["run", "--speed", "1e7"], "1e+06"),
-        (["run", "--speed", "0"], ""),
-        (["run", "--set", "rail.speed_mm_s=1.0\nname='x'"], "KEY=VALUE"),
-        (["run", "--set", "x"], ""),
-        (["dance"], ""),
-        ([], ""),
-    ],
-)
-def test_an_impossible_command_line(words: list[str], part: str) -> None:
-    done = command(*words)
-    assert done.returncode == 2
-    assert part in done.stderr
-
-
-def test_check_names_all_drivers_problems_and_an_unknown_simulator() -> None:
-    values = {
-        "simulation.simulator": "papper",
-        "rail.options.bitrate": "5",
-        "robot.options.prot": "1",
-        "tracker.driver": "leika",
-    }
-    done = command("check", "paper", *sets(values))
-    assert done.returncode == 2
-    for part in ("'papper'", "bitrate", "prot", "'leika'"):
-        assert part in done.stderr
-
-
 @pytest.mark.parametrize("folder", ["/etc/passwd", "/proc/x", "x" * 300])
 def test_a_runs_folder_that_cannot_be_used(folder: str) -> None:
     done = command("run", "--runs", folder)
     assert done.returncode == (2 if folder == "/etc/passwd" else 7)
     assert folder in done.stderr
     assert len(done.stderr.splitlines()) == 1
-
-
-@pytest.mark.parametrize(("address", "code"), [("127.0.0.1:1", 3), (":::", 2), ("x", 2)])
-def test_a_simulated_cell_that_is_not_there(tmp_path: Path, address: str, code: int) -> None:
-    done = command("run", "--runs", tmp_path, "--set", f"simulation.address={address}")
-    assert done.returncode == code, done.stderr
-    assert address in done.stderr
 
 
 def test_an_engine_that_cannot_write_its_file_says_so_and_can_be_resumed(
@@ -215,16 +239,3 @@ def test_a_taken_port_is_refused() -> None:
         done = command("sim", "--ports", f"tracker={port}")
     assert (done.returncode, done.stdout) == (2, "")
     assert f"port {port} " in done.stderr
-
-
-@pytest.mark.parametrize("text", ["rail", "rial=1", "rail=0", "rail=65536", "rail=1,rail=2", ""])
-def test_ports_that_are_none(text: str) -> None:
-    done = command("sim", "--ports", text)
-    assert done.returncode == 2
-    assert "--ports" in done.stderr
-
-
-def test_a_simulated_cell_that_runs_keeps_its_ports() -> None:
-    done = command("sim", "--set", "simulation.address=127.0.0.1:1", "--ports", "rail=7")
-    assert done.returncode == 2
-    assert "simulation.address" in done.stderr

@@ -114,11 +114,3 @@ def test_a_folder_without_a_journal_is_taken(tmp_path: Path) -> None:
     done = command("run", "home", "--name", "mine", "--runs", tmp_path, "--json")
     assert end_of(done)["run"] == "mine"
     assert done.returncode == 0, done.stderr
-
-
-@pytest.mark.parametrize("name", ["", "../x", ".hidden", "last", "x" * 101, "a\nb", "ä/"])
-def test_a_name_that_is_no_folder_is_refused(tmp_path: Path, name: str) -> None:
-    done = command("run", "--name", name, "--runs", tmp_path)
-    assert done.returncode == 2
-    assert "--name" in done.stderr
-    assert not list(tmp_path.iterdir())

@@ -368,25 +368,6 @@ def _speak(listening: socket.socket, answer: bytes) -> None:
             pass
 
 
-@pytest.mark.parametrize(
-    ("words", "named"),
-    [
-        (("report",), "folder"),
-        (("a.toml", "b"), "'b'"),
-        (("report", "r", "--workers", "2"), "--workers"),
-        (("report", "r", "--dry-run"), "--dry-run"),
-        (("a.toml", "--workers", "0"), "--workers"),
-        (("a.toml", "--scheduler", "host"), "--scheduler"),
-        (("a.toml", "--workers", "2", "--scheduler", "tcp://h:1"), "--scheduler"),
-        (("report", "r"), "folder"),
-    ],
-)
-def test_options_that_contradict_one_another(words: tuple[str, ...], named: str) -> None:
-    done = command("study", *words)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert named in done.stderr
-
-
 def test_a_dry_run_lists_the_cases(tmp_path: Path) -> None:
     path = written(tmp_path)
     listed = json.loads(command("study", path, "--dry-run", "--json").stdout)["cases"]

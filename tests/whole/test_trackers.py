@@ -25,7 +25,7 @@ def test_an_unattended_run_waits_while_readings_are_not_accurate(tmp_path: Path)
         cell.strike("tracker.geocom_code", 1284, count=6)
         run = ran(tmp_path, "world-frame", TOTAL_STATION | {"simulation.address": cell.control})
     assert run.done.returncode == 0, run.done.stderr
-    life = [(each.to, each.change.by or None) for each in read_log(run.folder).life]
+    life = [(each.to, each.change.by or None) for each in run.log.life]
     assert [each for each in life if each[0] == "suspended" or each[1]] == [
         ("suspended", None),
         ("running", "look"),
@@ -111,7 +111,7 @@ def test_a_calibration_with_a_list_that_was_written_for_the_cell(tmp_path: Path)
     figures = run.result["validation"]["S1100"]
     assert figures["chosen"]["mean"] < figures["before"]["mean"]
     assert "'t2sa'" in run.result["sweeps"]["left_out"]
-    log = read_log(run.folder)
+    log = run.log
     assert {point.samples for point in log.points.values()} >= {2}
     assert 0.001 < median_std_mm(run.folder) < 0.05
     assert log.assets[-1].model.endswith("by SpatialAnalyzer")

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from drivers.canopen import nodes
-from hilcell.journal.runs import read_log
 from tests.whole.bench import command, ran, sets, shop_cell, simulation
 
 pytestmark = pytest.mark.waits
@@ -44,7 +43,7 @@ def test_a_run_reaches_drive_and_strip(
 ) -> None:
     run = ran(tmp_path, "home", values)
     assert run.end["exit"] == 0, run.done.stderr
-    assets = {each.kind: each for each in read_log(run.folder).assets}
+    assets = {each.kind: each for each in run.log.assets}
     assert assets["drive"].address.startswith(drive_at)
     assert assets["strip"].address.startswith(strip_at)
     buses = {assets[kind].address.split()[0] for kind in ("drive", "strip")}

@@ -18,7 +18,7 @@ from hilcell.journal.index import row_of
 from hilcell.journal.runs import read_log
 from hilcell.wire.recording import SUFFIX, Piece, read_recording, recordings
 from tests.whole.bench import command, sets
-from tests.whole.recordings import KEPT, PAIRS, SMALL
+from tests.whole.recordings import KEPT, PAIRS, SMALL, played
 
 pytestmark = pytest.mark.waits
 
@@ -50,11 +50,8 @@ def replayed(
     folder: Path, *words: str, run: str = RAN, runs: Path | None = None
 ) -> CompletedProcess[str]:
     """Run against a recording."""
-    played = sets({"simulation.simulator": "recorded", "simulation.data": str(folder)})
-    kept = folder.parent / "replays" if runs is None else runs
-    return command(
-        "run", run, *words, *played, "--unattended", "--runs", kept, "--name", "again"
-    )  # fmt: skip
+    where = ("--runs", folder.parent / "replays" if runs is None else runs, "--name", "again")
+    return command("run", run, *words, *sets(played(folder)), "--unattended", *where)
 
 
 def refused(folder: Path, *words: str, run: str = RAN) -> str:
@@ -164,9 +161,8 @@ def test_addresses_may_be_others_and_two_replay_at_once(recorded: Path, tmp_path
         if event["kind"] == "frame" or (event["kind"] == "state" and not inner):
             inner.append(replayed(recorded, *other, runs=tmp_path / "inner").returncode)
 
-    played = sets({"simulation.simulator": "recorded", "simulation.data": str(recorded)})
     words = ["--unattended", "--json", "--runs", str(tmp_path / "outer"), "--name", "again"]
-    assert command("run", RAN, *played, *words, hear=hear).returncode == 0
+    assert command("run", RAN, *sets(played(recorded)), *words, hear=hear).returncode == 0
     assert inner[:1] == [0]
 
 

@@ -94,6 +94,11 @@ class ThreadedRun:
             self._may_go_on.acquire()
 
 
+def never(_: Event) -> bool:
+    """Let a run stand still at no event."""
+    return False
+
+
 def is_state(event: Event, name: str) -> bool:
     """Whether a run has come to a state."""
     return bool(event["kind"] == "state" and event["machine"] == "run" and event["to"] == name)
