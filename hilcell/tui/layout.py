@@ -18,41 +18,15 @@ from hilcell.tui.terminal import Glyphs
 BLANK = Content("")
 
 
-def appearance(part: object) -> object:
-    """Return a value that is equal where two parts look the same.
-
-    Contents compare by their text alone, and NaN is not equal to itself.
-    """
-    match part:
-        case Content():
-            return part.plain, tuple(part.spans)
-        case Part():
-            return part.state
-        case list() | tuple():
-            return [appearance(each) for each in part]
-        case float():
-            return repr(part)
-    return part
-
-
-class Part:
-    """A part of the screen that is laid out as it is painted."""
-
-    @property
-    def state(self) -> object:
-        """Return a value that is equal where two parts look the same."""
-        return appearance([*vars(self).values()])
-
-
-class Lines(Part):
-    """Rows of a panel."""
+class Lines:
+    """Rows of a panel, laid out as they are painted."""
 
     def lines(self, width: int, height: int = 0) -> list[Content]:
         """Return lines of at most ``width`` columns; the panel cuts those after ``height``."""
         raise NotImplementedError
 
 
-class Filler(Part):
+class Filler:
     """A cell that is drawn for the width of its column."""
 
     def drawn(self, width: int) -> Content:
@@ -172,19 +146,14 @@ class Stack(Lines):
         return [*chain.from_iterable(part.lines(width, height) for part in self._parts)]
 
 
+@dataclass(frozen=True)
 class Drawing(Lines):
     """Lines that are drawn for the size of their panel, by ``draw(width, height)``."""
 
-    def __init__(self, state: object, draw: Callable[[int, int], list[Content]]) -> None:
-        """``state`` is equal where the lines look the same."""
-        self._state, self._draw = state, draw
-
-    @property
-    def state(self) -> object:
-        return self._state
+    draw: Callable[[int, int], list[Content]]
 
     def lines(self, width: int, height: int = 0) -> list[Content]:
-        return self._draw(width, height)
+        return self.draw(width, height)
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from textual.widget import Widget
 from textual.widgets import Input, Static
 
 from hilcell.sanitize import UNSAFE, clean
-from hilcell.tui.layout import Lines, appearance
+from hilcell.tui.layout import Lines
 from hilcell.tui.terminal import to_ascii
 
 T = TypeVar("T")
@@ -50,7 +50,7 @@ class Shown(Visual):
     """Lines whose characters are all safe to print, as a panel paints them."""
 
     def __init__(self, source: Lines, *, plain: bool) -> None:
-        self.state, self._source, self._plain = source.state, source, plain
+        self._source, self._plain = source, plain
 
     def content(self, width: int, height: int = 0) -> Content:
         lines = self._source.lines(width, height)
@@ -73,19 +73,20 @@ class TextPanel(Static):
 
     def __init__(self, id: str | None = None, *, classes: str | None = None) -> None:
         super().__init__("", markup=False, id=id, classes=classes)
-        self._state: object = None
+        self._look: object = None
 
     def show(self, text: Content | str | Lines) -> None:
         """Show a text, where it differs from what is shown."""
-        plain = _is_plain(self)
-        content = Content(text) if isinstance(text, str) else text
+        plain, size = _is_plain(self), self.content_size
         visual: Visual
-        if isinstance(content, Content):
-            state, visual = appearance(content), _safe(content, plain=plain)
+        if isinstance(text, Lines):
+            shown = visual = Shown(text, plain=plain)
+            content = shown.content(size.width or self.app.size.width, size.height)
         else:
-            state, visual = content.state, Shown(content, plain=plain)
-        if state != self._state:
-            self._state = state
+            content = visual = _safe(Content.assemble(text), plain=plain)
+        look = content.plain, content.spans, size
+        if look != self._look:
+            self._look = look
             self.update(visual, layout=self._size_changes(visual))
 
     def _size_changes(self, visual: Visual) -> bool:
@@ -104,8 +105,8 @@ class TitledBox(Widget):
     _titles: object = None
 
     def show_titles(self, title: Content, note: str) -> None:
-        if (state := (appearance(title), note)) != self._titles:
-            self._titles = state
+        if (titles := (title.plain, title.spans, note)) != self._titles:
+            self._titles = titles
             self.border_title = _safe(title, plain=_is_plain(self))
             self.border_subtitle = note
 

@@ -19,8 +19,8 @@ from hilcell.tui.plots import Scale
 from hilcell.tui.process import run_in_thread
 from hilcell.tui.run_view import RunView
 from hilcell.tui.screens.pages import DetailPage, FilterScreen, Pace, plot_style
-from hilcell.tui.text.actions import ACTS, VIEWS, FooterKey, footer_lines
 from hilcell.tui.text.actions import WORDS as SHORT_LABELS
+from hilcell.tui.text.actions import FooterKey, footer_lines
 from hilcell.tui.text.alarms import AlarmBox, newest_line, panel_is_due, saved_text
 from hilcell.tui.text.devices import DeviceText
 from hilcell.tui.text.finished import Result, finished_verdict, result_of
@@ -76,12 +76,11 @@ class RunScreen(FilterScreen):
         start = point_filter or PointFilter()
         self.bad_only, self.worst_first, self._chosen = start.bad_only, start.worst_first, start.key
         self._table = PointRows()
-        self._footer: tuple[object, Content] = (None, Content(""))  # drawn when a slot changes
         self._rows: list[PointRow] = []  # of all points
         self._points_seen: tuple[object, ...] = ()
         self._side_pace, self._below_pace = Pace(), Pace()
-        self._scale: Scale | None = None  # of the plot at the side
         self._room = 0  # rows under the points
+        self._scale: Scale | None = None  # of the plot at the side
         self._result: tuple[object, Result | None] = (None, None)  # of which end record
         self.points_open = False  # over the verdict of a run that is done
 
@@ -265,8 +264,7 @@ class RunScreen(FilterScreen):
             return lines
 
         if side.display and self._side_pace.is_due():
-            state = self.app.theme, style, len(view.log.points), view.last
-            side.show(Drawing(state, draw))
+            side.show(Drawing(draw))
         room = block_rows(self.app.size.height, live=view.live)
         below.display = room > 0 and view.log.plan is not None
         if below.display and (room != self._room or self._below_pace.is_due()):
@@ -285,11 +283,7 @@ class RunScreen(FilterScreen):
         """Return the footer: slots that keep their places; in a text box, its own keys."""
         if isinstance(self.focused, Input):
             return super().key_line()
-        slots = {name: self.footer_key(name) for name in ("stop", *ACTS, *VIEWS)}
-        state = (slots, self.line_width)
-        if state != self._footer[0]:
-            self._footer = (state, footer_lines(slots.__getitem__, self.line_width))
-        return self._footer[1]
+        return footer_lines(self.footer_key, self.line_width)
 
     def footer_key(self, name: str) -> FooterKey:
         if name == "detach" and not self.application.allowed(name):

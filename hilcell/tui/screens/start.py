@@ -417,7 +417,7 @@ class Checked:
             heading = section("plan", "points    takes").lines(width)
             return [*heading, *Grid(rows, *columns).lines(width)]
 
-        return Drawing(repr(plan), draw)
+        return Drawing(draw)
 
     def check_lines(self, glyphs: Glyphs) -> Lines:
         if self.plan is None:
@@ -442,7 +442,7 @@ class Checked:
             lines = whole.lines(width)
             return lines if not height or len(lines) < height else cut.lines(width)
 
-        return Stack(section(title, "refused"), Drawing(whole.state, draw))
+        return Stack(section(title, "refused"), Drawing(draw))
 
     @property
     def refusal_lines(self) -> list[str]:

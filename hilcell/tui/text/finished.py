@@ -319,7 +319,7 @@ class Finished:
             room = max(rows - len(lines) - len(fact_lines), 3)
             return [*lines, *self.table(glyphs, room).lines(width), *fact_lines]
 
-        return Drawing((repr(self), glyphs.plain, facts.state), draw)
+        return Drawing(draw)
 
     def _facts(self, view: RunView, glyphs: Glyphs, standing: int) -> list[Lines | Text]:
         """Return what is to be known of a run that passed; of a failed one why, and what next."""
@@ -491,7 +491,7 @@ class Result:
                 lines.append(Content.assemble((" next: ", "$label"), NEXT))
             return [line.truncate(width) for line in lines]
 
-        return Drawing((id(self), glyphs.plain), draw)
+        return Drawing(draw)
 
     @staticmethod
     def _distance_words(test: PoseTest) -> str:
@@ -625,4 +625,4 @@ def table_lines(table: Table, log: Log | None = None) -> Lines:
             lines += [line.pad_left(1) for line in grid.lines(width - 1)]
         return lines
 
-    return Drawing(shown, draw)
+    return Drawing(draw)

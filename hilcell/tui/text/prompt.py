@@ -98,7 +98,7 @@ class PromptText:
             drawn = [] if site is None else site.drawn(width, height - len(words) - 1)
             return [*words, *([BLANK] if drawn else []), *drawn]
 
-        return Drawing((self.prompt.text, site, placing), draw)
+        return Drawing(draw)
 
     def task(self, *, low: bool = False) -> Lines:
         """Return the task, how far the reflector is off, and whether it is visible."""

@@ -283,10 +283,7 @@ class Shown:
         if rows < self.FULL_ROWS - 1:
             return small
         whole = Stack(head, self.large(deviation, glyphs), Grid(tolerance[: rows - 4], *columns))
-        state = whole.state, small.state
-        return Drawing(
-            state, lambda width, _: (small if width < self.LEAST_LARGE else whole).lines(width)
-        )
+        return Drawing(lambda width, _: (small if width < self.LEAST_LARGE else whole).lines(width))
 
 
 PARTS = {

@@ -37,8 +37,6 @@ SOON = timedelta(seconds=0.3)
 COSTLY = (  # each as its caller finds it
     (Screen, "_refresh_layout"),
     (points, "expanded_uncertainty_mm"),
-    (points, "expanded_uncertainty_mm"),
-    (run, "footer_lines"),
 )
 
 pytestmark = pytest.mark.usefixtures("isolated")
