@@ -185,15 +185,24 @@ def test_a_program_is_corrected_in_place(folder: Path, urdf: Urdf, tmp_path: Pat
         np.testing.assert_allclose(numbers, wanted, atol=2e-4)
 
 
+@pytest.fixture
+def pose(urdf: Urdf) -> str:
+    """A pose of the tool in the controller's words."""
+    zyx = zyx_from_pose(chain_forward(urdf.chain, drawn(2, 1)) @ pose_from_zyx(0, 0, 120, 0, 0, 0))
+    return ",".join(f"{n} {v:.4f}" for n, v in zip("XYZABC", zyx[0], strict=True))
+
+
+def program(folder: Path, *lines: str) -> tuple[str | Path, ...]:
+    """Write a program; return the words that correct it."""
+    (folder / "p.src").write_text("\n".join(["DEF p()", *lines, "END", ""]))
+    return "--tool", "SMR1", "--correct", folder / "p.src", "-o", folder / "out.src"
+
+
 def test_a_program_with_strokes_or_another_base_wants_a_calibration(
-    folder: Path, urdf: Urdf, tmp_path: Path
+    folder: Path, pose: str, tmp_path: Path
 ) -> None:
-    pose = zyx_from_pose(chain_forward(urdf.chain, drawn(2, 1)) @ pose_from_zyx(0, 0, 120, 0, 0, 0))
-    values = ",".join(f"{n} {v:.4f}" for n, v in zip("XYZABC", pose[0], strict=True))
     base = "$BASE={X 1,Y 0,Z 0,A 0,B 0,C 0}"
-    lines = ["DEF p()", base, f"LIN {{{values}}}", "LIN_REL {X 20} #TOOL", "END", ""]
-    (tmp_path / "p.src").write_text("\n".join(lines))
-    words = ("--tool", "SMR1", "--correct", tmp_path / "p.src", "-o", tmp_path / "out.src")
+    words = program(tmp_path, base, f"LIN {{{pose}}}", "LIN_REL {X 20} #TOOL")
     said = refused(folder, *words)
     assert "p.src line 4" in said
     assert "p.src line 2" in said
@@ -237,17 +246,13 @@ def test_incomplete_orders_are_refused(folder: Path, words: list[str], missing: 
 
 
 def test_a_program_s_posture_is_the_one_that_was_measured(
-    folder: Path, urdf: Urdf, tmp_path: Path
+    folder: Path, pose: str, tmp_path: Path
 ) -> None:
     """S 2 was corrected by the errors of S 6, and some holes became worse."""
-    pose = zyx_from_pose(chain_forward(urdf.chain, drawn(2, 1)) @ pose_from_zyx(0, 0, 120, 0, 0, 0))
-    values = ",".join(f"{n} {v:.4f}" for n, v in zip("XYZABC", pose[0], strict=True))
-    words = ("--tool", "SMR1", "--correct", tmp_path / "p.src", "-o", tmp_path / "out.src")
     write_dh(folder / "robot.toml")
     taken = []
     for status in range(8):
-        lines = ["DEF p()", f"PTP {{{values},S {status}}}", "END", ""]
-        (tmp_path / "p.src").write_text("\n".join(lines))
+        words = program(tmp_path, f"PTP {{{pose},S {status}}}")
         done = fit(folder, *words, robot="robot.toml")
         taken += [status] if done.returncode == 0 else []
         assert done.returncode == 0 or "posture" in done.stderr, done.stderr

@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -60,21 +60,28 @@ def lost(err: str) -> bool:
     return err.startswith("hilcell: stdout ") and err.count("\n") == 1
 
 
-@needs_full
 @pytest.mark.parametrize("words", [*((*words, "--runs", "") for words in COMMANDS), *OTHERS])
-def test_a_command_into_a_full_disk_is_exit_7(
+@pytest.mark.parametrize(
+    ("stdout", "why"),
+    [pytest.param(full, os.strerror(errno.ENOSPC), marks=needs_full),
+     (closed_pipe, os.strerror(errno.EPIPE)), (nullcontext, "it is closed")],
+    ids=["full disk", "closed pipe", "none"],
+)  # fmt: skip
+def test_a_command_whose_stdout_cannot_be_written_is_exit_7(
     run: Path,
     words: tuple[str, ...],
+    stdout: Callable[[], Any],
+    why: str,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     given = [word or str(run.parent) for word in words]
-    with full() as stdout:
-        monkeypatch.setattr(sys, "stdout", stdout)
+    with stdout() as file:
+        monkeypatch.setattr(sys, "stdout", file)
         assert main(given) == 7
-    assert f"hilcell: stdout cannot be written: {os.strerror(errno.ENOSPC)}" in (
-        capsys.readouterr().err
-    )
+    err = capsys.readouterr().err
+    assert f"hilcell: stdout cannot be written: {why}" in err
+    assert err.splitlines()[-1].startswith("hilcell: stdout ")
 
 
 @needs_full
@@ -90,15 +97,6 @@ def test_a_file_on_a_full_disk_is_exit_7(
     assert main([*given, str(run.parent)]) == 2  # the name's fault
 
 
-def test_a_command_into_a_closed_pipe_is_exit_7(
-    run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with closed_pipe() as stdout:
-        monkeypatch.setattr(sys, "stdout", stdout)
-        assert main(["show", "r", "--json", "--runs", str(run.parent)]) == 7
-    assert lost(capsys.readouterr().err)
-
-
 def test_a_file_that_is_a_closed_pipe_is_exit_7(
     run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -110,14 +108,6 @@ def test_a_file_that_is_a_closed_pipe_is_exit_7(
     err = capsys.readouterr().err
     assert f"hilcell: {out}: cannot be written: {os.strerror(errno.EPIPE)}; " in err
     assert "use a reader that reads to the end" in err
-
-
-def test_a_closed_stdout_is_exit_7(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "stdout", None)
-    assert main(["explain", "HC-J14"]) == 7
-    assert lost(capsys.readouterr().err)
 
 
 def test_a_closed_stderr_puts_no_message_among_the_data(

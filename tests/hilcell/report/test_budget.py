@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.influence import ASSUMED, MEASURED, Bounds, Part
-from hilcell.calibration.measurement_budget import Budget, Contribution, measurement_budget
+from hilcell.calibration.measurement_budget import Contribution, measurement_budget
 from hilcell.cell.file import load_cell
 from hilcell.model.point import PointId
 from hilcell.report.budgets import (
@@ -25,8 +25,12 @@ from tests.hilcell.report.journals import BEFORE_MM, Writer
 from tests.whole.golden import GoldenRuns
 
 
-def by_name(budget: Budget | None) -> dict[str, Contribution]:
+def lines_of(writer: Writer) -> dict[str, Contribution]:
+    """Return the lines of a run's budget by name."""
+    budget = measurement_budget(writer.facts().log)
     assert budget is not None
+    assert budget.U_mm == pytest.approx(2 * budget.u_mm)
+    assert budget.u_mm == pytest.approx(math.sqrt(sum(each.u_mm**2 for each in budget.lines)))
     return {each.name: each for each in budget.lines}
 
 
@@ -37,22 +41,13 @@ def test_nothing_measured_gives_no_budget(tmp_path: Path) -> None:
 def test_what_is_not_measured_is_a_stated_assumption(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "few").began()
     writer.point(PointId("world", nest="F1"), (0, 0, 0))
-    budget = measurement_budget(writer.facts().log)
-    assert budget is not None
-    lines = by_name(budget)
-    assert set(lines) == {
-        "Tracker, reading noise",
-        "Tracker, systematic",
-        "SMR centring",
-        "Drift",
-        "Thermal expansion",
-    }
-    assert lines["Tracker, reading noise"].source == MEASURED
-    assert lines["Tracker, reading noise"].u_mm == pytest.approx(0.01)
-    assert lines["Drift"].source == ASSUMED
-    assert lines["Thermal expansion"].u_mm == 0.0  # one temperature only
-    assert budget.U_mm == pytest.approx(2 * budget.u_mm)
-    assert budget.u_mm == pytest.approx(math.sqrt(sum(each.u_mm**2 for each in budget.lines)))
+    lines = lines_of(writer)
+    noise, drift, thermal = "Tracker, reading noise", "Drift", "Thermal expansion"
+    assert set(lines) == {noise, "Tracker, systematic", "SMR centring", drift, thermal}
+    assert lines[noise].source == MEASURED
+    assert lines[noise].u_mm == pytest.approx(0.01)
+    assert lines[drift].source == ASSUMED
+    assert lines[thermal].u_mm == 0.0  # one temperature only
 
 
 def test_a_limit_from_a_certificate_names_it(tmp_path: Path) -> None:
@@ -60,7 +55,7 @@ def test_a_limit_from_a_certificate_names_it(tmp_path: Path) -> None:
     cell["uncertainty"] |= {"tracker_dcc": "t.xml#errors", "tracker_certificate": "TC-1"}
     writer = Writer(tmp_path / "r", cell=cell).began()
     writer.validated("S1100", "before", BEFORE_MM)
-    lines = by_name(measurement_budget(writer.facts().log))
+    lines = lines_of(writer)
     assert lines["Tracker, systematic"].source == "certificate TC-1"
     assert lines["SMR centring"].source == "stated assumption"
 
@@ -70,7 +65,7 @@ def test_drift_is_what_the_floor_nests_moved(tmp_path: Path) -> None:
     writer.point(PointId("world", nest="F1"), (1000, 0, 0))
     for turn, at_mm in enumerate(((1000.03, 0, 0), (1000, 0.03, 0)), start=1):
         writer.point(PointId("control", session=1, pass_number=turn, nest="F1"), at_mm)
-    drift = by_name(measurement_budget(writer.facts().log))["Drift"]
+    drift = lines_of(writer)["Drift"]
     assert drift.source == MEASURED
     assert drift.u_mm == pytest.approx(0.03 / math.sqrt(3))
 
@@ -79,7 +74,7 @@ def test_thermal_from_the_range_of_temperatures(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "warm").began()
     writer.point(PointId("world", nest="F1"), (0, 0, 0), temperature_c=21.0)
     writer.point(PointId("world", nest="F2"), (2000, 0, 0), temperature_c=23.0)
-    thermal = by_name(measurement_budget(writer.facts().log))["Thermal expansion"]
+    thermal = lines_of(writer)["Thermal expansion"]
     assert thermal.estimate_mm == pytest.approx(0.023)
     assert thermal.u_mm == pytest.approx(0.023 / math.sqrt(3))
 
@@ -111,11 +106,8 @@ def test_an_estimate_divided_gives_u() -> None:
         Bounds([part("a", ASSUMED, "4.3.7", (3e-4, 3e-4, 3e-4)),
                 part("b", MEASURED, "4.2.2", (3e-4, 0.0, 0.0))])
     )  # fmt: skip
-    assert (everywhere.kind, everywhere.along, everywhere.divisor) == (
-        "B, rectangular",
-        "x, y, z",
-        "√3",
-    )
+    stated = (everywhere.kind, everywhere.along, everywhere.divisor)
+    assert stated == ("B, rectangular", "x, y, z", "√3")
     assert everywhere.estimate == "±0.0300"
     assert everywhere.u_mm == pytest.approx(0.03 / math.sqrt(3))
     assert (one.kind, one.along, one.divisor) == ("A, normal", "one", "1")
