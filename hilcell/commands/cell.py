@@ -83,7 +83,13 @@ def train(cell: Training, ended: threading.Event) -> None:
     """Train until ``ended`` is set, "q" is entered or stdin ends."""
     trainer = Trainer(cell, random.Random())  # noqa: S311 - no cryptography
     lines: SimpleQueue[str | None] = SimpleQueue()
-    threading.Thread(target=_read, args=(lines,), name="keyboard", daemon=True).start()
+
+    def read() -> None:
+        for line in sys.stdin:
+            lines.put(line)
+        lines.put(None)
+
+    threading.Thread(target=read, name="keyboard", daemon=True).start()
     trainer.menu()
     while not ended.is_set():
         try:
@@ -92,12 +98,6 @@ def train(cell: Training, ended: threading.Event) -> None:
             continue
         if line is None or not trainer.take(line):
             return
-
-
-def _read(lines: SimpleQueue[str | None]) -> None:
-    for line in sys.stdin:
-        lines.put(line)
-    lines.put(None)
 
 
 def check(args: Check) -> int:

@@ -49,20 +49,17 @@ def explain(args: Explain) -> int:
 
 # -- completion -----------------------------------------------------------------------------------
 
-# Columns of the table of runs, with bars in ASCII or box characters, without its three head lines.
-_LISTED = "hilcell runs 2>/dev/null | LC_ALL=C sed '1,3d; s/│/|/g' | cut -s -d'|'"
-_NAMES, _CELLS_OF_RUNS = f"{_LISTED} -f2", f"{_LISTED} -f4 | sort -u"
-_CELLS = " ".join(sorted(built_in_cells()))
+# Functions of shells; a table of runs has bars in ASCII or box characters, and three head lines.
 PREAMBLE = {
-    "bash": f"""
-_hilcell_run() {{ compgen -W "last $({_NAMES})" -- "$1"; }}
-_hilcell_cell() {{ compgen -W "{_CELLS}" -- "$1"; compgen -f -X '!*.toml' -- "$1"; }}
-_hilcell_cell_of_runs() {{ compgen -W "$({_CELLS_OF_RUNS})" -- "$1"; }}
+    "bash": """
+_hilcell_run() {{ compgen -W "last $({names})" -- "$1"; }}
+_hilcell_cell() {{ compgen -W "{cells}" -- "$1"; compgen -f -X '!*.toml' -- "$1"; }}
+_hilcell_cell_of_runs() {{ compgen -W "$({cells_of_runs})" -- "$1"; }}
 """,
-    "zsh": f"""
-_hilcell_run() {{ compadd last $({_NAMES}) }}
-_hilcell_cell() {{ compadd {_CELLS}; _files -g '*.toml' }}
-_hilcell_cell_of_runs() {{ compadd $({_CELLS_OF_RUNS}) }}
+    "zsh": """
+_hilcell_run() {{ compadd last $({names}) }}
+_hilcell_cell() {{ compadd {cells}; _files -g '*.toml' }}
+_hilcell_cell_of_runs() {{ compadd $({cells_of_runs}) }}
 """,
 }
 
@@ -76,7 +73,13 @@ def completion(args: Completion) -> int:
             action.choices = sorted(catalogue())
         elif (completer := _completer(action)) is not None:
             action.complete = completer  # type: ignore[attr-defined] # read by shtab
-    print_data(shtab.complete(parser, args.shell, preamble=PREAMBLE.get(args.shell, "")))
+    listed = "hilcell runs 2>/dev/null | LC_ALL=C sed '1,3d; s/│/|/g' | cut -s -d'|'"
+    preamble = PREAMBLE.get(args.shell, "").format(
+        names=f"{listed} -f2",
+        cells=" ".join(sorted(built_in_cells())),
+        cells_of_runs=f"{listed} -f4 | sort -u",
+    )
+    print_data(shtab.complete(parser, args.shell, preamble=preamble))
     return 0
 
 
@@ -110,7 +113,6 @@ Options follow their command, in any order. Every command has `--help`; `hilcell
 the version.
 """
 COLUMNS = ("| argument | meaning | default |", "|---|---|---|")
-SHARED = 2  # an argument of so many commands or more is in the common table
 DEFAULT = re.compile(r" ?\(?\bdefault: ((?:[^()]|\([^()]*\))*)\)?")  # in the help of an argument
 
 
@@ -146,7 +148,7 @@ def _shared_rows() -> dict[str, str]:
     )
     shared: dict[str, str] = {}
     for (name, row), count in sorted(counts.items(), key=lambda item: (-item[1], item[0])):
-        if count >= SHARED:
+        if count > 1:
             shared.setdefault(name, row)
     return shared
 

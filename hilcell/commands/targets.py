@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,7 @@ from hilcell.errors import bounded
 from hilcell.fit.methods import FitResult, FittedArm, RobotFit, fit_robot, in_mm, methods_table
 from hilcell.fit.robot_file import Measurements, read_measurements
 from hilcell.fit.urdf_file import URDF, read_robot
-from hilcell.present.table import Column, Table
+from hilcell.present.table import Table, listed
 from hilcell.programs.corrected import UsableCalibration
 from hilcell.programs.holes import read_holes
 from hilcell.programs.plan import HolePlan, Volume, ratio
@@ -106,26 +105,20 @@ def _plan_facts(planned: HolePlan) -> dict[str, object]:
 
 
 def _print_plan(cell: Cell, planned: HolePlan) -> None:
-    rows = [
+    rows: list[tuple[str, float | None, int, float, float]] = [
         (each.station.name, each.station.rail_mm, len(each.holes), each.travel_mm, each.bound_mm)
         for each in planned.stations
     ]
-    count = sum(len(each.holes) for each in planned.stations)
-    print_table(Table(STATIONS, [*rows, ("all", None, count, planned.travel_mm, planned.bound_mm)]))
+    count = sum(row[2] for row in rows)
+    rows.append(("all", None, count, planned.travel_mm, planned.bound_mm))
+    columns = listed(
+        "station", ("rail", "mm", ".2f"), ("holes", "", "d"), ("travel", "mm", ".1f"),
+        ("lower bound", "mm", ".1f"), ("ratio", "", ".4f"),
+    )  # fmt: skip
+    print_table(Table(columns, [(*row, ratio(row[3], row[4])) for row in rows]))
     new = [each.station.name for each in planned.stations if each.station not in cell.station]
     if new:
         print_message(f"not in the cell file: {', '.join(new)}; add them with their strip readings")
-
-
-# For each station, and for all: name, rail (mm), holes, travel (mm), its lower bound (mm).
-STATIONS: tuple[Column[tuple[str, float | None, int, float, float]], ...] = (
-    Column("station", itemgetter(0)),
-    Column("rail", itemgetter(1), "mm", ".2f"),
-    Column("holes", itemgetter(2), form="d"),
-    Column("travel", itemgetter(3), "mm", ".1f"),
-    Column("lower bound", itemgetter(4), "mm", ".1f"),
-    Column("ratio", lambda row: ratio(row[3], row[4]), form=".4f"),
-)
 
 
 def compensate(args: Compensate) -> int:

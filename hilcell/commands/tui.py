@@ -14,9 +14,6 @@ from hilcell.journal.runs_folder import command_on
 from hilcell.tui.keys import load_keys
 from hilcell.tui.terminal import ASCII, UNICODE, has_colours, has_unicode, is_coerced
 
-COLOURS = {"16": "standard", "none": "truecolor"}  # Textual's names that differ
-SWITCH_S = 0.0005  # longest wait of the thread that reads Esc for one that draws
-
 
 def tui(args: Tui) -> int:
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
@@ -43,7 +40,7 @@ def tui(args: Tui) -> int:
         theme=args.theme,
         slow=args.slow,
     )
-    sys.setswitchinterval(SWITCH_S)
+    sys.setswitchinterval(0.0005)  # longest wait of the thread that reads Esc for one that draws
     app = HilcellApp(options)
     if app.console.color_system == "standard":
         app.theme = SIXTEEN
@@ -69,5 +66,6 @@ def textual_environment(colours: str, environment: Mapping[str, str]) -> dict[st
     """
     if colours == "auto" and not has_colours(environment):
         colours = "none"
-    system = {"TEXTUAL_COLOR_SYSTEM": COLOURS.get(colours, colours), "TEXTUAL_ANIMATIONS": "none"}
-    return system | ({"NO_COLOR": "1"} if colours == "none" else {})
+    system = {"16": "standard", "none": "truecolor"}.get(colours, colours)  # Textual's names
+    variables = {"TEXTUAL_COLOR_SYSTEM": system, "TEXTUAL_ANIMATIONS": "none"}
+    return variables | ({"NO_COLOR": "1"} if colours == "none" else {})

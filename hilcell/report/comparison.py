@@ -386,10 +386,19 @@ class _Runs:
 
     def settings(self) -> list[Setting]:
         """Return how the frozen inputs differ by key, without the simulation's addresses."""
-        one, other = map(_inputs, self._logs)
+        one, other = map(self._inputs, self._logs)
         keys = [*one, *(key for key in other if key not in one)]
         pairs = ((key, one.get(key, ""), other.get(key, "")) for key in keys)
         return [Setting(*each) for each in pairs if each[1] != each[2]]
+
+    @staticmethod
+    def _inputs(log: Log) -> dict[str, str]:
+        inputs = log.inputs
+        cell = {key: value for key, value in inputs.cell.items() if key != "simulation"}
+        run = {"procedure": inputs.procedure, "seed": inputs.seed, "unattended": inputs.unattended}
+        machine = {} if inputs.machine_seed is None else {"machine_seed": inputs.machine_seed}
+        versions = {"versions": {"hilcell": inputs.versions.get("hilcell", "")}}
+        return dict(_leaves(run | machine | versions | cell, ""))
 
 
 def length_factor(count: int) -> float:
@@ -403,15 +412,6 @@ def length_factor(count: int) -> float:
 
 
 # -- words ----------------------------------------------------------------------------------------
-
-
-def _inputs(log: Log) -> dict[str, str]:
-    inputs = log.inputs
-    cell = {key: value for key, value in inputs.cell.items() if key != "simulation"}
-    run = {"procedure": inputs.procedure, "seed": inputs.seed, "unattended": inputs.unattended}
-    machine = {} if inputs.machine_seed is None else {"machine_seed": inputs.machine_seed}
-    versions = {"versions": {"hilcell": inputs.versions.get("hilcell", "")}}
-    return dict(_leaves(run | machine | versions | cell, ""))
 
 
 def _leaves(value: object, path: str) -> Iterator[tuple[str, str]]:

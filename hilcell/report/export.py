@@ -125,10 +125,6 @@ def _turns_deg(log: Log) -> dict[str, float]:
     return dict(zip(keys, turned.angles_deg.tolist(), strict=True))
 
 
-def points_table(facts: Facts) -> Table:
-    return Table(POINTS, points(facts), "points")
-
-
 def results_table(facts: Facts) -> Table:
     """Return the result as one row a figure; its path names the unit where it has one."""
     return Table(listed("figure", "value"), _leaves("", facts.result), "results")
@@ -191,7 +187,8 @@ def sheets(facts: Facts) -> list[Table]:
     entries = (f"{row}{column}" for row in range(4) for column in range(4))
     columns: tuple[Column[Posed], ...] = (*FRAMES, *vector("m", entries, "", "matrix.flat"))
     frames = Table(columns, Tables(facts).posed(), "frames")
-    return [run_table(facts), points_table(facts), frames, results_table(facts), compared]
+    measured = Table(POINTS, points(facts), "points")
+    return [run_table(facts), measured, frames, results_table(facts), compared]
 
 
 def xlsx_bytes(facts: Facts) -> bytes:
@@ -202,7 +199,7 @@ def xlsx_bytes(facts: Facts) -> bytes:
 
 def json_bytes(facts: Facts) -> bytes:
     """Return everything: inputs, states, points, frames, verdicts, events and the result."""
-    log, table = facts.log, points_table(facts)
+    log, table = facts.log, Table(POINTS, points(facts))
     keys, plan = table.keys, msgspec.to_builtins(log.inputs)
     del plan["order"]  # of the folder of runs, no fact of this one
     whole = {

@@ -29,7 +29,6 @@ from hilcell.model.outcome import RULE, Outcome, gravest, outcome_of
 from hilcell.model.point import BOTH, Sent
 from hilcell.model.verdicts import VALIDATION, Fitted, Judged, Rechecked
 from hilcell.present.table import Column, Table
-from hilcell.report import iso9283
 from hilcell.report.budgets import K_3D, TargetBudget
 from hilcell.report.facts import Facts
 from hilcell.report.iso9283 import PoseReport, is_pose_test
@@ -262,7 +261,7 @@ class FirstPage:
     def uncertainty_text(self, budget: Budget | None) -> str:
         """Return U with its coverage factors, of one coordinate and of a 3-D position."""
         if is_pose_test(self.facts):
-            return iso9283.uncertainty_text()
+            return PoseReport.UNCERTAINTY
         if budget is None:
             return ""
         return (
@@ -430,12 +429,9 @@ class Instrument:
 # form is not an accredited certificate, and a simulated run calibrates nothing.
 
 
-PAGE_1, POSES, STATIONS, UNCERTAINTY = "certificate", "poses", "stations", "uncertainty"
-
-
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One item: its clause, its name, its text, and the part of the report that has it.
+    """One item: its clause, its name, its text, and the id of the report's part that has it.
 
     Without words it is a blank to fill in.
     """
@@ -443,7 +439,7 @@ class Item:
     clause: str
     name: str
     words: str = ""
-    part: str = PAGE_1
+    part: str = "certificate"
 
 
 def _stands(cell: Cell) -> str:
@@ -481,13 +477,12 @@ class Certificate:
         serial = "" if robot is None else f", serial {robot.serial}"
         begun = in_zone(facts.records[0].t, facts.zone).date().isoformat()
         dates = facts.date if begun == facts.date else f"{begun} to {facts.date}"
-        results, results_part = (
-            "none: nothing was measured",
-            POSES if is_pose_test(facts) else STATIONS,
-        )
+        results, results_part = "none: nothing was measured", "stations"
         if facts.log.points:
             air = ", temperatures °C" if measured_air else ""
             results = f"the tables of this report; lengths mm, angles °{air}"
+        if is_pose_test(facts):
+            results_part = "poses"
         deviations = [f"a calibration was used although {why}" for why in inputs.accepted]
         deviations += PoseReport(facts).departures()
         revoked = f"REVOKED: {facts.revoked}; " if facts.revoked else ""
@@ -499,7 +494,7 @@ class Certificate:
                  f"{facts.run}, journal {facts.fingerprint[:16]}"),
             Item("7.8.2.1 e", "Customer", cell.certificate.customer),
             Item("7.8.2.1 e", "Job", inputs.job),
-            Item("7.8.2.1 f", "Method", self.method(), UNCERTAINTY),
+            Item("7.8.2.1 f", "Method", self.method(), "uncertainty"),
             Item("7.8.2.1 g", "Item", f"cell {cell.name}, serial {cell.serial}; robot "
                  f"{cell.robot.name}{serial}; {_stands(cell)}"),
             Item("7.8.2.1 g, h", "Condition of the item, date of receipt"),
@@ -511,12 +506,12 @@ class Certificate:
             Item("7.8.2.1 n", "Deviations from the method",
                  "; ".join(deviations) or "none recorded"),
             Item("7.8.4.1 a", "Measurement uncertainty", _uncertainty(budget, targets),
-                 UNCERTAINTY),
+                 "uncertainty"),
             Item("7.8.4.1 b", "Conditions", self.conditions()),
             Item("7.8.4.1 c", "Measured with", "; ".join(devices)),
             Item("7.8.4.1 c", "Traceability: certificates of tracker, reflector"
                  + (", thermometer" if measured_air else "")),
-            Item("7.8.4.1 d", "Before and after adjustment", self.adjustment(), STATIONS),
+            Item("7.8.4.1 d", "Before and after adjustment", self.adjustment(), "stations"),
             Item("7.8.6.2", "Conformity, decision rule", self.conformity()),
             Item("7.8.2.1 l", "Validity",
                  f"{revoked}the results relate only to the item {self._validity()}"),

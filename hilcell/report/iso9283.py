@@ -35,6 +35,12 @@ class PoseReport:
         "flange."
     )
 
+    UNCERTAINTY: ClassVar = (
+        "U: expanded uncertainty, k = 2 (about 95 %). Of AP it holds scatter, tracker, reflector, "
+        "drift, temperature and the frame in which poses are commanded; of AD the tracker at both "
+        "ends; of RP and RD the statistics of so many cycles. Tracker noise is in RP and RD."
+    )
+
     facts: Facts
 
     def tested(self) -> PoseTest:
@@ -160,14 +166,6 @@ class PoseReport:
                 "verdict", lambda row: self.facts.outcome_text(row.outcome, "not judged"), form="s"
             ),
         )
-
-
-def uncertainty_text() -> str:
-    return (
-        "U: expanded uncertainty, k = 2 (about 95 %). Of AP it holds scatter, tracker, reflector, "
-        "drift, temperature and the frame in which poses are commanded; of AD the tracker at both "
-        "ends; of RP and RD the statistics of so many cycles. Tracker noise is in RP and RD."
-    )
 
 
 POSES: tuple[Column[tuple[str, Pose]], ...] = (

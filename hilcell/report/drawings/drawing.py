@@ -18,7 +18,6 @@ INK, MUTED, HAIR, HATCH = "#1b2430", "#4a5663", "#c9d0d8", "#9aa5b1"
 BEFORE, AFTER, BAND = "#b0561a", "#0b4a7d", "#d3e0ec"
 LABEL_MM = 2.9  # height of letters on paper, 8.2 pt
 NEAREST_MM = 3.4  # of two labels in a column
-NARROW, MEDIUM, WIDE = 0.34, 0.61, 0.74  # of a letter, to its height
 TICKS = (1.0, 2.0, 2.5, 5.0, 10.0)
 ENDS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)  # of a scale
 
@@ -74,9 +73,10 @@ def _cut(words: str, kept: int) -> str:
 def text_width_mm(words: str) -> float:
     """Return how wide bold words are on paper, at most as far as letters of Arial go."""
     narrow_letters = " .,:;-|ijlt()"
-    wide = (NARROW if each in narrow_letters else WIDE if each.isupper() else MEDIUM
-            for each in words)  # fmt: skip
-    return LABEL_MM * sum(wide)
+    widths = (
+        0.34 if each in narrow_letters else 0.74 if each.isupper() else 0.61 for each in words
+    )
+    return LABEL_MM * sum(widths)
 
 
 def path(
