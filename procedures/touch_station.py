@@ -79,7 +79,7 @@ def touch_once(session: CellSession, station: Station, model: ErrorModel) -> Non
         return
     session.retake_waiting()
     session.hold_station(station)
-    if not session.frames.touched(station):
+    if not session.frames.is_touched(station):
         _touch(session, station, model)
 
 

@@ -73,7 +73,7 @@ def target_uncertainty(log: Log) -> Uncertainty:
             _limit("SMR centring", centring, centring_mm, stated.smr_source or ASSUMED),
             lines.drill(),
         ],
-        {station.name: lines.placed(station) for station in log.cell.station},
+        {station.name: lines.placing(station) for station in log.cell.station},
         stated.arm_growth_um_m_k * 1e-6,
         stated.air_range_k,
         lines.model_samples(),
@@ -187,7 +187,7 @@ class _Lines:
             applies="in use",
         )  # fmt: skip
 
-    def placed(self, station: Station) -> list[Influence]:
+    def placing(self, station: Station) -> list[Influence]:
         """Contributions of placing the slide at a station: its frame, and the strip's
         repeatability.
         """
@@ -252,7 +252,7 @@ def with_drill(
     return msgspec.structs.replace(stated, lines=lines)
 
 
-def touched(log: Log, station: Station) -> Influence | None:
+def touch_influence(log: Log, station: Station) -> Influence | None:
     """Contribution of placing the slide, as measured by touch poses on the last visit."""
     frame = log.frames.get(f"touch.{station.name}")
     if not isinstance(frame, TouchedBase):
@@ -395,7 +395,7 @@ def lines_in_validation(
     calibration: Calibration, log: Log, station: str, points: list[Point]
 ) -> list[Influence]:
     stated, stop = calibration.budget, log.cell.station_named(station)
-    on_visit = touched(log, stop)
+    on_visit = touch_influence(log, stop)
     placed = stated.stations[station] if on_visit is None else [on_visit]
     lines = [each for each in (*stated.lines, *placed) if each.applies != "in use"]
     return [*lines, *in_validation(log, stop, points)]

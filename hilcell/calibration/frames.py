@@ -73,14 +73,14 @@ class Frames:
             return shift @ base
         return self.carried("station", station)
 
-    def touched(self, station: Station) -> bool:
+    def is_touched(self, station: Station) -> bool:
         """Whether the base was touched at ``station`` since the slide last moved."""
         frame = self._log.frames.get(f"touch.{station.name}")
         return isinstance(frame, TouchedBase) and frame.visit == self._log.visit
 
     def base_on_visit(self, station: Station) -> Array:
         """T_W_B (4, 4) as touched on this visit, else `base_in_world`: for commands only."""
-        if self.touched(station):
+        if self.is_touched(station):
             return self._log.matrix(f"touch.{station.name}")
         return self.base_in_world(station)
 
@@ -91,7 +91,7 @@ class Frames:
         at_mm = apply(
             inverse(self.base_on_visit(station)) @ self.base_in_world(station), targets_mm
         )
-        if not self.touched(station):
+        if not self.is_touched(station):
             return at_mm
         growth = self._log.frame(TouchedBase, f"touch.{station.name}").growth
         centre_mm = self.cell.grid.centre.matrix()[:3, 3]

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from hilcell import __version__
-from hilcell.calibration.budget import target_uncertainty, touched
+from hilcell.calibration.budget import target_uncertainty, touch_influence
 from hilcell.calibration.file import SCHEMA, Calibration, ModelEntry, Validity, written_now
 from hilcell.calibration.frames import Frames
 from hilcell.calibration.grid import measured_errors
@@ -155,7 +155,7 @@ def _touched(calibration: Calibration, log: Log, run: str, name: str) -> Calibra
     entry = msgspec.structs.replace(entry, T_W_B=frame.matrix)
     update = Update(run, "touch", written_now(), frame.poses)
     stations = calibration.stations | {name: entry}
-    uncertainty, line = calibration.uncertainty, touched(log, log.cell.station_named(name))
+    uncertainty, line = calibration.uncertainty, touch_influence(log, log.cell.station_named(name))
     if not uncertainty.missing and line is not None:
         placed = uncertainty.stations | {name: [msgspec.structs.replace(line, applies="always")]}
         uncertainty = msgspec.structs.replace(uncertainty, stations=placed)

@@ -68,10 +68,10 @@ def reversal(log: Log) -> LostMotionJudged | None:
     lost = URAD * covariance @ weighted.T @ off_mm.reshape(-1)
     U = URAD * COVERAGE * np.sqrt(np.diag(covariance))
     limit_urad = log.cell.uncertainty.lost_motion_urad
-    return judged(lengths_mm(off_mm).tolist(), lost.tolist(), U.tolist(), limit_urad)
+    return reversal_verdict(lengths_mm(off_mm).tolist(), lost.tolist(), U.tolist(), limit_urad)
 
 
-def judged(
+def reversal_verdict(
     off_mm: list[float], lost_urad: list[float], U_urad: list[float], limit_urad: float
 ) -> LostMotionJudged:
     """Verdict on distances (N) between both directions and on the lost motion of axes 1 to 3."""

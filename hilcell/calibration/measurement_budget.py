@@ -123,7 +123,7 @@ def measurement_budget(log: Log) -> Budget | None:
 class _Contributions:
     log: Log
 
-    def _judged(self) -> list[Point]:
+    def _flange_points(self) -> list[Point]:
         return [p for p in self.log.points.values() if p.smr_mm is not None] or list(
             self.log.points.values()
         )
@@ -133,7 +133,7 @@ class _Contributions:
         covariance = world_as_framed(self.log)
         if covariance is None:
             return []
-        at_mm = apply(self.log.matrix("world"), positions_mm(self._judged()))
+        at_mm = apply(self.log.matrix("world"), positions_mm(self._flange_points()))
         J = motion_levers(at_mm)[:, :, :6]
         variances_mm2 = np.einsum("nij,jk,nik->n", J, covariance, J) / 3
         u_mm = math.sqrt(float(variances_mm2.mean()))
@@ -141,7 +141,7 @@ class _Contributions:
         return [Contribution(WORLD, u_mm, "normal", f"{MEASURED}, and {ASSUMED}", how, "5.1.2")]
 
     def reading_noise(self) -> Contribution:
-        points = self._judged()
+        points = self._flange_points()
         noise_mm = math.sqrt(variances_mm2(points).mean())
         how = f"scatter of the readings of {len(points)} points"
         return Contribution(NOISE, noise_mm, "normal", MEASURED, how, "4.2.3")

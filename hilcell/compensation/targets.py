@@ -96,6 +96,42 @@ class CsvText:
     def header(self) -> list[str]:
         return self.rows[0][1] if self.rows else []
 
+    def matched_header(self, path: Path, headers: Sequence[list[str]]) -> list[str]:
+        """The matching one of ``headers``; raises `SettingsError` naming other columns."""
+        columns = [column for each in headers for column in each]
+        header = [self._column_of(cell, columns) for cell in self.header]
+        if header not in headers:
+            expected = " or ".join(",".join(each) for each in headers)
+            found, most = self.separator.join(self.header).replace("\t", "\\t"), 200
+            found = found if len(found) <= most else f"{found[:most]}..."
+            got = f"{found if self.rows else 'an empty file'}{self._differs(header, headers)}"
+            raise SettingsError(str(path), [f"line 1: expected header {expected}, got {got}"])
+        return header
+
+    @staticmethod
+    def _column_of(cell: str, columns: Iterable[str]) -> str:
+        """Column of a header's field (``X``, ``x [mm]``: x_mm), else the field."""
+        plain = cell.strip().casefold().replace("\u00b0", "deg")
+        word = re.sub(r"\s*[\[(]\s*(\w+)\s*[\])]$", r"_\1", plain)  # a unit in brackets
+        for each in columns:
+            if word and word in (each, each.removesuffix("_mm").removesuffix("_deg")):
+                return each
+        return cell.strip()
+
+    @staticmethod
+    def _differs(header: list[str], headers: Sequence[list[str]]) -> str:
+        """Difference of a header from the most similar one, as text."""
+        if any("\t" in each for each in header):
+            return "; its fields are separated by tabs: save it with commas or semicolons"
+        expected = max(headers, key=lambda each: len({*each} & {*header}))
+        missing = [each for each in expected if each not in header]
+        unknown = [_shown(each) for each in header if each not in expected]
+        words = [f"missing: {', '.join(missing)}"] if missing else []
+        words += [f"unknown: {', '.join(unknown)}"] if unknown else []
+        if not words:
+            words = ["a column twice" if len(header) > len(expected) else "in another order"]
+        return f" ({'; '.join(words)})" if any(header) else ""
+
     def surplus(self, count: int, expected: int) -> str:
         """Return the likely cause of more fields than expected, or ""."""
         if count > expected and self.separator == ",":
@@ -264,7 +300,7 @@ def read_named_rows(
     """
     text = CsvText.read(path, content, labels=1)
     refuse_corrected(str(path), (cell for _, cells in text.rows for cell in cells))
-    header = matched_header(path, text, headers)
+    header = text.matched_header(path, headers)
     rows, known, problems = NamedRows(header), set[str](), list[str]()
     for line, cells in text.rows[1:]:
         if cells:
@@ -275,43 +311,6 @@ def read_named_rows(
     if problems:
         raise SettingsError(str(path), problems)
     return rows
-
-
-def matched_header(path: Path, text: CsvText, headers: Sequence[list[str]]) -> list[str]:
-    """The matching one of ``headers``; raises `SettingsError` naming other columns."""
-    columns = [column for each in headers for column in each]
-    header = [column_of(cell, columns) for cell in text.header]
-    if header not in headers:
-        expected = " or ".join(",".join(each) for each in headers)
-        found, most = text.separator.join(text.header).replace("\t", "\\t"), 200
-        found = found if len(found) <= most else f"{found[:most]}..."
-        got = f"{found if text.rows else 'an empty file'}{_differs(header, headers)}"
-        raise SettingsError(str(path), [f"line 1: expected header {expected}, got {got}"])
-    return header
-
-
-def column_of(cell: str, columns: Iterable[str]) -> str:
-    """Column of a header's field (``X``, ``x [mm]``: x_mm), else the field."""
-    plain = cell.strip().casefold().replace("\u00b0", "deg")
-    word = re.sub(r"\s*[\[(]\s*(\w+)\s*[\])]$", r"_\1", plain)  # a unit in brackets
-    for each in columns:
-        if word and word in (each, each.removesuffix("_mm").removesuffix("_deg")):
-            return each
-    return cell.strip()
-
-
-def _differs(header: list[str], headers: Sequence[list[str]]) -> str:
-    """Difference of a header from the most similar one, as text."""
-    if any("\t" in each for each in header):
-        return "; its fields are separated by tabs: save it with commas or semicolons"
-    expected = max(headers, key=lambda each: len({*each} & {*header}))
-    missing = [each for each in expected if each not in header]
-    unknown = [_shown(each) for each in header if each not in expected]
-    words = [f"missing: {', '.join(missing)}"] if missing else []
-    words += [f"unknown: {', '.join(unknown)}"] if unknown else []
-    if not words:
-        words = ["a column twice" if len(header) > len(expected) else "in another order"]
-    return f" ({'; '.join(words)})" if any(header) else ""
 
 
 def _shown(text: str) -> str:

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from hilcell.cell.file import Joint, arm_from_joints
 from hilcell.cell.settings import SettingsError, convert, read_file, read_text, unreadable
-from hilcell.compensation.targets import MOST, MOST_DEG, CsvText, matched_header, numbers
+from hilcell.compensation.targets import MOST, MOST_DEG, CsvText, numbers
 from hilcell.geometry.kinematics import Arm, Array, forward
 
 HEADER = ["pose", "target", *(f"j{n}_deg" for n in range(1, 7)), "x_mm", "y_mm", "z_mm"]
@@ -200,7 +200,7 @@ def read_measurements(path: Path | str) -> Measurements:
     """
     path = Path(path)
     text = CsvText.read(path, read_file(path), LABELS)
-    matched_header(path, text, [HEADER])
+    text.matched_header(path, [HEADER])
     problems: list[str] = []
     labels, rows, lines = [], [], []
     for line, cells in text.rows[1:]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Self
 from xml.parsers import expat
@@ -169,8 +170,54 @@ class UrdfText:
             content = content[:start] + text + content[end:]
         return content
 
-    @property
-    def above(self) -> dict[str, JointText]:
+    def chain_to(self, tip: str) -> list[JointText]:
+        """The joints to ``tip``, or of the only chain of six revolute joints; raises `NotUrdf`."""
+        parents, links = ({joint.end(end) for joint in self.joints} for end in ("parent", "child"))
+        links |= parents
+        if tip and tip not in links:
+            raise NotUrdf(f"no joint leads to link {tip}; links: {_list(sorted(links))}")
+        tips = [tip] if tip else sorted(set(self._above) - parents)
+        if not tips:
+            loop = "its links form a loop: no link is a tip"
+            raise NotUrdf(loop if self.joints else "has no joint")
+        chains = {tip: self._joints_to(tip) for tip in tips}
+        good = [tip for tip in tips if not self._unfit(chains[tip])]
+        if len(good) == 1:
+            return chains[good[0]]
+        if good:
+            several = f"several chains of six joints end in {_list(good)}"
+            raise NotUrdf(f"{several}: say which, --tip LINK")
+        longest = max(tips, key=lambda tip: len(chains[tip]))
+        others = f"; tips: {_list(tips)}; where an earlier link ends the arm, --tip LINK names it"
+        unfit = self._unfit(chains[longest])
+        raise NotUrdf(f"the chain to {longest} {unfit}{'' if tip else others}")
+
+    def _joints_to(self, tip: str) -> list[JointText]:
+        joints, link, above = list[JointText](), tip, self._above
+        while link in above:
+            if len(joints) > len(above):
+                raise NotUrdf(f"its links form a loop through {link}")
+            joints.append(above[link])
+            link = above[link].end("parent")
+        return joints[::-1]
+
+    @staticmethod
+    def _unfit(joints: list[JointText]) -> str:
+        """Why joints are no arm of six revolute joints, or ""."""
+        moving = [joint for joint in joints if joint.kind != "fixed"]
+        strange = [f"{joint.name} ({joint.kind})" for joint in moving if joint.kind not in REVOLUTE]
+        mimics = [joint.name for joint in moving if "mimic" in joint.parts]
+        if strange:
+            return f"has joints that are neither revolute nor fixed: {_list(strange)}"
+        if mimics:
+            return f"has joints that follow others (mimic): {_list(mimics)}"
+        if len(moving) != 6:
+            names = _list([joint.name for joint in moving]) or "none"
+            return f"has {len(moving)} revolute joints, expected six: {names}"
+        return ""
+
+    @cached_property
+    def _above(self) -> dict[str, JointText]:
         most_joints = 1000  # of one file
         if len(self.joints) > most_joints:
             raise NotUrdf(f"has {len(self.joints)} joints, expected at most {most_joints}")
@@ -263,7 +310,7 @@ def read_urdf(path: Path, tip: str = "") -> Urdf:
     """Read the chain to ``tip``, or the only one of six revolute joints; raises `SettingsError`."""
     try:
         text = UrdfText(read_bytes(path))
-        joints = _chain_to(tip, text)
+        joints = text.chain_to(tip)
     except OSError as error:
         raise unreadable(str(path), error) from error
     except NotUrdf as error:
@@ -296,52 +343,6 @@ def read_urdf(path: Path, tip: str = "") -> Urdf:
         joints=joints,
         steps=steps,
     )
-
-
-def _chain_to(tip: str, text: UrdfText) -> list[JointText]:
-    parents, links = ({joint.end(end) for joint in text.joints} for end in ("parent", "child"))
-    links |= parents
-    if tip and tip not in links:
-        raise NotUrdf(f"no joint leads to link {tip}; links: {_list(sorted(links))}")
-    above = text.above
-    tips = [tip] if tip else sorted(set(above) - parents)
-    if not tips:
-        raise NotUrdf("its links form a loop: no link is a tip" if text.joints else "has no joint")
-    chains = {tip: _joints_to(tip, above) for tip in tips}
-    good = [tip for tip in tips if not _unfit(chains[tip])]
-    if len(good) == 1:
-        return chains[good[0]]
-    if good:
-        raise NotUrdf(f"several chains of six joints end in {_list(good)}: say which, --tip LINK")
-    longest = max(tips, key=lambda tip: len(chains[tip]))
-    others = f"; tips: {_list(tips)}; where an earlier link ends the arm, --tip LINK names it"
-    raise NotUrdf(f"the chain to {longest} {_unfit(chains[longest])}{'' if tip else others}")
-
-
-def _joints_to(tip: str, above: Mapping[str, JointText]) -> list[JointText]:
-    joints: list[JointText] = []
-    link = tip
-    while link in above:
-        if len(joints) > len(above):
-            raise NotUrdf(f"its links form a loop through {link}")
-        joints.append(above[link])
-        link = above[link].end("parent")
-    return joints[::-1]
-
-
-def _unfit(joints: list[JointText]) -> str:
-    """Why joints are no arm of six revolute joints, or ""."""
-    moving = [joint for joint in joints if joint.kind != "fixed"]
-    strange = [f"{joint.name} ({joint.kind})" for joint in moving if joint.kind not in REVOLUTE]
-    mimics = [joint.name for joint in moving if "mimic" in joint.parts]
-    if strange:
-        return f"has joints that are neither revolute nor fixed: {_list(strange)}"
-    if mimics:
-        return f"has joints that follow others (mimic): {_list(mimics)}"
-    if len(moving) != 6:
-        names = _list([joint.name for joint in moving]) or "none"
-        return f"has {len(moving)} revolute joints, expected six: {names}"
-    return ""
 
 
 def _list(names: Sequence[str]) -> str:

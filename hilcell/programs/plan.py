@@ -116,10 +116,10 @@ def _raster(cell: Cell) -> Iterator[Station]:
             yield Station(name=f"at {rail_mm:g} mm", rail_mm=rail_mm, strip_mm=rail_mm)
 
 
-def fewest(ok: Bools, burden: Array) -> Ints:
+def fewest(ok: Bools, penalty: Array) -> Ints:
     """Columns of ``ok`` (N, S), as few as possible, that reach every row.
 
-    ``burden`` (S,), 0..1 each, decides only between sets of equal number: its sum is scaled below
+    ``penalty`` (S,), 0..1 each, decides only between sets of equal number: its sum is scaled below
     one station. Raises `HilcellError` where a row is reached by none.
     """
     from scipy.optimize import Bounds, LinearConstraint, milp  # slow to load, seldom needed
@@ -127,7 +127,7 @@ def fewest(ok: Bools, burden: Array) -> Ints:
     rows = np.unique(ok, axis=0)
     if not rows.any(axis=1).all():
         raise HilcellError("set cover: some holes are reached from no station", code="HC-C10")
-    cost = 1.0 + burden / (2.0 * len(burden))
+    cost = 1.0 + penalty / (2.0 * len(penalty))
     found = milp(
         cost,
         constraints=LinearConstraint(rows.astype(float), lb=1.0),

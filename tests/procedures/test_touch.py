@@ -226,7 +226,7 @@ def test_a_new_stop_is_touched_again_and_a_visit_once() -> None:
     np.testing.assert_array_equal(touch_base(bench, FAR, model), first)
     assert len(bench.log.select("touch")) == 8
     bench.hold_station(HERE)
-    assert not bench.frames.touched(FAR)
+    assert not bench.frames.is_touched(FAR)
     np.testing.assert_array_equal(bench.frames.base_on_visit(FAR), bench.frames.base_in_world(FAR))
     bench.slip_mm = -SLIP_MM
     again = touch_base(bench, FAR, model)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from hilcell.calibration.budget import NO_VISITS, in_validation, target_uncertainty, touched
+from hilcell.calibration.budget import NO_VISITS, in_validation, target_uncertainty, touch_influence
 from hilcell.calibration.influence import ASSUMED, MEASURED, Influence
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import pose_from_zyx
@@ -202,8 +202,8 @@ def test_a_touched_base_has_its_own_covariance(tmp_path: Path) -> None:
     at = pose_from_zyx(-1850, -800, 500, 0, 0, 0)
     writer.frame("touch.S300", matrix=at, covariance=COVARIANCE, poses=8, visit=3)
     log = writer.facts().log
-    assert touched(log, log.cell.station_named("S1900")) is None
-    line = touched(log, log.cell.station_named("S300"))
+    assert touch_influence(log, log.cell.station_named("S1900")) is None
+    line = touch_influence(log, log.cell.station_named("S300"))
     assert line is not None
     at_2_m = line.at(np.eye(4), np.array([[-1850.0, -800.0, 2500.0]]))[0]
     assert at_2_m[0, 0] == pytest.approx(1e-4 + 4e-10 * 2000.0**2)

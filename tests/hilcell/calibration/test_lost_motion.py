@@ -15,9 +15,9 @@ from hilcell.calibration.file import LostMotion
 from hilcell.calibration.lost_motion import (
     REVERSAL,
     TAKE_UP_RAD,
-    judged,
     lost_too_much,
     reversal,
+    reversal_verdict,
     straight_path,
 )
 from hilcell.cell.file import load_cell
@@ -101,7 +101,7 @@ def test_without_such_points_nothing_is_said(log: Log) -> None:
 def test_a_figure_that_is_no_number_does_not_hold(axis: int) -> None:
     lost_urad = [30.0, 30.0, 30.0]
     lost_urad[axis] = float("nan")
-    assert not judged([0.1], lost_urad, [10.0] * 3, 100.0).holds
+    assert not reversal_verdict([0.1], lost_urad, [10.0] * 3, 100.0).holds
 
 
 CELL = load_cell("paper")

@@ -173,8 +173,8 @@ def test_against_all_subsets(seed: int, holes: int, stations: int, share: float)
     rng = np.random.default_rng(seed)
     ok = rng.random((holes, stations)) < share
     ok[np.arange(holes), rng.integers(0, stations, holes)] = True
-    burden = rng.random(stations)
-    chosen = fewest(ok, burden)
+    penalty = rng.random(stations)
+    chosen = fewest(ok, penalty)
     covers = [
         subset
         for size in range(1, stations + 1)
@@ -184,8 +184,8 @@ def test_against_all_subsets(seed: int, holes: int, stations: int, share: float)
     size = min(len(subset) for subset in covers)
     assert len(chosen) == size
     assert ok[:, chosen].any(axis=1).all()
-    lightest = min(burden[list(subset)].sum() for subset in covers if len(subset) == size)
-    assert burden[chosen].sum() == pytest.approx(lightest, abs=1e-4)
+    lightest = min(penalty[list(subset)].sum() for subset in covers if len(subset) == size)
+    assert penalty[chosen].sum() == pytest.approx(lightest, abs=1e-4)
 
 
 def test_burden_never_buys_a_station() -> None:
