@@ -16,7 +16,7 @@ from hilcell.model.point import Point, PointId, Readings
 from hilcell.ports import Array, DeviceError, NoReading, RobotReading, TrackerReading
 from hilcell.run.interlocks import check_held, check_strip, reading_time
 from hilcell.run.mover import Mover
-from hilcell.run.prompts import FLANGE, Verification, beam_prompt, placement_prompt, swap_prompt
+from hilcell.run.prompts import FLANGE, Prompt, Verification
 
 
 class Meter(Mover):
@@ -47,7 +47,7 @@ class Meter(Mover):
                 said, facts = str(error), cause.facts()
                 self.add(NoReadingOf(key=key, tries=tries, reason=said, error=facts))
         limit_mm = self.cell.tracker.find_radius_mm
-        prompt = beam_prompt(self.cell, key, place, near_mm, limit_mm, failed)
+        prompt = Prompt.failed_reading(self.cell, key, place, near_mm, limit_mm, failed)
         self.ask(prompt, lambda: self._verify_reflector(key, near_mm), cause)
         return None
 
@@ -169,7 +169,7 @@ class Meter(Mover):
         rail = self.devices.rail.read()
         check_held(self.cell, rail, self.held, f"place the reflector at {place}")
         near_mm, limit_mm = self._expected(place, nominal_mm, rail.strip_mm)
-        prompt = placement_prompt(self.cell, place, self.log.seated, near_mm, limit_mm)
+        prompt = Prompt.placement(self.cell, place, self.log.seated, near_mm, limit_mm)
         result = self.ask(prompt, lambda: self._verify_reflector(f"verify {place}", near_mm), None)
         assert result.xyz_mm is not None  # noqa: S101 - a verified answer has a reading
         self.add(ReflectorPlaced(place=place, xyz_mm=result.xyz_mm, strip_mm=rail.strip_mm))
@@ -198,5 +198,5 @@ class Meter(Mover):
         """Request the reflector of ``place`` in ``nest``; the robot is parked."""
         self.parked()
         near_mm = self.frames.tracker_from_world(nest.xyz_mm)[0]
-        prompt = swap_prompt(self.cell, place, nest.name, near_mm)
+        prompt = Prompt.swap(self.cell, place, nest.name, near_mm)
         self.ask(prompt, lambda: self._verify_reflector(f"verify {nest.name}", near_mm), None)

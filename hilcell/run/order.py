@@ -98,7 +98,7 @@ class Order(Signature):
         if warning := check_identity(self.cell, cell):
             say(warning)
         procedure: Procedure = load_entry("procedures", self.procedure)
-        run_plan.check_attended(cell, procedure, unattended=self.attendance.unattended)
+        procedure.check_attended(cell, unattended=self.attendance.unattended)
         procedure.check(cell)
         accepted, machine = list[str](), self.machine_seed
         if uses := procedure.used_in(cell):
@@ -153,7 +153,7 @@ class Resume(Signature):
         from hilcell.errors import HilcellError
         from hilcell.journal.runs import CALIBRATION
         from hilcell.journal.runs_folder import command_on
-        from hilcell.run.run_plan import Changes, ResumedRun, changed_inputs, check_attended
+        from hilcell.run.run_plan import Changes, ResumedRun, changed_inputs
         from hilcell.run.states import retake_refusal
 
         retakes = [key for key in self.retake if key not in log.retakes]
@@ -167,7 +167,7 @@ class Resume(Signature):
             )
         attendance = self.attendance
         procedure: Procedure = load_entry("procedures", log.inputs.procedure)
-        check_attended(log.cell, procedure, unattended=attendance.unattended)
+        procedure.check_attended(log.cell, unattended=attendance.unattended)
         changes = Changes()
         if continues:
             try:

@@ -29,7 +29,7 @@ from hilcell.ports import HilcellError, NoReading, StripLost
 from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_slide_travel
-from hilcell.run.prompts import Prompt, Verification, unanswered
+from hilcell.run.prompts import Prompt, Verification
 from hilcell.run.watch import RemeasureStep
 
 Result: TypeAlias = Mapping[str, object]  # by their keys in JSON: Structs, or what they are made of
@@ -117,6 +117,23 @@ class Procedure:
                 "robot stands on the floor; choose a procedure of robot and tracker, such as "
                 "calibrate or iso9283",
                 code="HC-C10",
+            )
+
+    def check_attended(self, cell: Cell, *, unattended: bool) -> None:
+        """Raise `HilcellError` where an unattended run would need an operator."""
+        if not unattended:
+            return
+        if self.by_hand:
+            raise HilcellError(
+                f"{self.name} refused before anything moves: an operator must {self.by_hand}; "
+                "leave out --unattended",
+                code="HC-C16",
+            )
+        if cell.layout.by_hand:
+            raise HilcellError(
+                f"cell {cell.name}: layout.reflectors is by_hand: an operator must carry the "
+                "reflector; leave out --unattended, or mount reflectors in all nests",
+                code="HC-C16",
             )
 
     def plan(self, cell: Cell, seed: int) -> Plan:
@@ -256,4 +273,4 @@ def run_in_process(
 def _no_operator(
     prompt: Prompt, verify: Callable[[], Verification], cause: NoReading | None
 ) -> Verification:
-    raise unanswered(prompt, cause) from cause
+    raise prompt.unanswered(cause) from cause

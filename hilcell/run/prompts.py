@@ -35,6 +35,93 @@ class Prompt(msgspec.Struct, frozen=True, kw_only=True):
     reason: str
     by_itself: bool = False
 
+    @classmethod
+    def placement(
+        cls, cell: Cell, place: str, at: str, expected_mm: Array, limit_mm: float
+    ) -> Prompt:
+        """Return the prompt to carry the reflector from ``at`` to ``place``."""
+        take = f"Take the reflector from {_where(cell, at)} and" if at else "Take the reflector and"
+        on = "on the flange" if place == FLANGE else f"in {place}"
+        return cls(
+            title=f"Seat the reflector {on}",
+            text=f"{take} seat it in {_where(cell, place)}. The robot rests at its safe pose, the "
+            "slide is held.",
+            place=place,
+            expected_mm=_rounded(expected_mm),
+            limit_mm=limit_mm,
+            reason=f"{place} is to be measured, the reflector is {at or 'nowhere'}",
+        )
+
+    @classmethod
+    def swap(cls, cell: Cell, place: str, nest: str, expected_mm: Array) -> Prompt:
+        """Return the prompt to place the reflector of ``place`` in a floor nest; to return all
+        reflectors if it is the nest's own.
+        """
+        into = _where(cell, nest)
+        text = f"Take out the reflector of {into}, and seat in it that of {_where(cell, place)}."
+        if place == nest:
+            text = f"Put every reflector back where it belongs, its own into {into}."
+        return cls(
+            title=f"Seat the reflector of {place} in {nest}",
+            text=f"{text} Clean nest and ball. The robot rests at its safe pose.",
+            place=nest,
+            expected_mm=_rounded(expected_mm),
+            limit_mm=20.0,  # a ball of another size has its centre elsewhere in the same nest
+            reason=f"the reflector of {place} is to be measured in {nest}",
+        )
+
+    @classmethod
+    def failed_reading(
+        cls, cell: Cell, key: str, place: str, near_mm: Array, limit_mm: float, error: NoReading
+    ) -> Prompt:
+        """Return the prompt after failed readings of a reflector.
+
+        The driver's message is in the alarm and the journal.
+        """
+        entry = entry_of(error.code, error.device)
+        found = entry.title if entry.specific else error.found
+        advice = _advice(error)
+        return cls(
+            title=f"No good reading of {place}",
+            text=f"{found}, at {_where(cell, place)}. {advice[:1].upper()}{advice[1:]}.",
+            place=place,
+            expected_mm=_rounded(near_mm),
+            limit_mm=limit_mm,
+            reason=f"{key}: {error.summary}",
+        )
+
+    def passed_by(self, result: Verification) -> bool:
+        """Whether the reflector is at the requested place; NaN never passes."""
+        return result.seen_mm is not None and result.seen_mm <= self.limit_mm
+
+    def refusal(self, result: Verification, lost: Mapping[str, DeviceError]) -> str:
+        """Return the refusal of an answer; ``lost`` are the devices that do not answer, by name."""
+        if lost:
+            found = "; ".join(f"{name} is lost: {error.summary}" for name, error in lost.items())
+            return f"{found}; repair that; if it stays lost, stop the run and resume it"
+        if self.by_itself or self.expected_mm is None:
+            return f"{self.place} is not as it was: {result.reason}"
+        if result.seen_mm is None:
+            return f"the tracker sees no reflector at {self.place}: {result.reason}"
+        return (
+            f"the tracker sees a reflector {result.seen_mm:.2f} mm from {self.place}, "
+            f"expected <= {self.limit_mm:.1f} mm"
+        )
+
+    def unanswered(self, cause: NoReading | None) -> DeviceError:
+        """Return the fault of a run that prompts without an operator."""
+        if cause is None:
+            return DeviceError("HC-C16", "Tracker", "measure", self.reason)
+        return DeviceError(
+            cause.code,
+            cause.device,
+            cause.operation,
+            cause.found,
+            expected=cause.expected,
+            act=_advice(cause),
+            fields=cause.fields,
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Verification:
@@ -93,7 +180,7 @@ class PendingPrompt:
             limit_mm=prompt.limit_mm,
             seen_mm=seen_mm,
             age_s=age_s,
-            ready=result is not None and passes(prompt, result),
+            ready=result is not None and prompt.passed_by(result),
         )
 
     # -- the worker's thread ------------------------------------------------------------------
@@ -130,42 +217,7 @@ class PendingPrompt:
             answer.set_result(reason)
 
 
-def passes(prompt: Prompt, result: Verification) -> bool:
-    """Whether the reflector is at the requested place; NaN never passes."""
-    return result.seen_mm is not None and result.seen_mm <= prompt.limit_mm
-
-
-def refusal(prompt: Prompt, result: Verification, lost: Mapping[str, DeviceError]) -> str:
-    """Return the refusal of an answer; ``lost`` are the devices that do not answer, by name."""
-    if lost:
-        found = "; ".join(f"{name} is lost: {error.summary}" for name, error in lost.items())
-        return f"{found}; repair that; if it stays lost, stop the run and resume it"
-    if prompt.by_itself or prompt.expected_mm is None:
-        return f"{prompt.place} is not as it was: {result.reason}"
-    if result.seen_mm is None:
-        return f"the tracker sees no reflector at {prompt.place}: {result.reason}"
-    return (
-        f"the tracker sees a reflector {result.seen_mm:.2f} mm from {prompt.place}, "
-        f"expected <= {prompt.limit_mm:.1f} mm"
-    )
-
-
-def unanswered(prompt: Prompt, cause: NoReading | None) -> DeviceError:
-    """Return the fault of a run that prompts without an operator."""
-    if cause is None:
-        return DeviceError("HC-C16", "Tracker", "measure", prompt.reason)
-    return DeviceError(
-        cause.code,
-        cause.device,
-        cause.operation,
-        cause.found,
-        expected=cause.expected,
-        act=reading_advice(cause),
-        fields=cause.fields,
-    )
-
-
-def reading_advice(error: NoReading) -> str:
+def _advice(error: NoReading) -> str:
     """The first step of the alarm's entry; without an entry the driver's advice, or the usual."""
     entry = entry_of(error.code, error.device)
     if entry.specific:
@@ -177,7 +229,7 @@ def reading_advice(error: NoReading) -> str:
 FLANGE = "flange"
 
 
-def where(cell: Cell, place: str) -> str:
+def _where(cell: Cell, place: str) -> str:
     layout = cell.layout
     for nests, on in ((layout.floor, "floor"), (layout.bar, "bar"), (layout.slide, "slide")):
         for nest in nests:
@@ -189,61 +241,6 @@ def where(cell: Cell, place: str) -> str:
         return "the nest on the robot's flange"
     seat = place.removeprefix(f"{FLANGE} ")
     return f"reflector {seat} on the robot's flange" if seat != place else f"reflector {place}"
-
-
-def placement_prompt(
-    cell: Cell, place: str, at: str, expected_mm: Array, limit_mm: float
-) -> Prompt:
-    """Return the prompt to carry the reflector from ``at`` to ``place``."""
-    take = f"Take the reflector from {where(cell, at)} and" if at else "Take the reflector and"
-    on = "on the flange" if place == FLANGE else f"in {place}"
-    return Prompt(
-        title=f"Seat the reflector {on}",
-        text=f"{take} seat it in {where(cell, place)}. The robot rests at its safe pose, the "
-        "slide is held.",
-        place=place,
-        expected_mm=_rounded(expected_mm),
-        limit_mm=limit_mm,
-        reason=f"{place} is to be measured, the reflector is {at or 'nowhere'}",
-    )
-
-
-def swap_prompt(cell: Cell, place: str, nest: str, expected_mm: Array) -> Prompt:
-    """Return the prompt to place the reflector of ``place`` in a floor nest; to return all
-    reflectors if it is the nest's own.
-    """
-    into = where(cell, nest)
-    text = f"Take out the reflector of {into}, and seat in it that of {where(cell, place)}."
-    if place == nest:
-        text = f"Put every reflector back where it belongs, its own into {into}."
-    return Prompt(
-        title=f"Seat the reflector of {place} in {nest}",
-        text=f"{text} Clean nest and ball. The robot rests at its safe pose.",
-        place=nest,
-        expected_mm=_rounded(expected_mm),
-        limit_mm=20.0,  # a ball of another size has its centre elsewhere in the same nest
-        reason=f"the reflector of {place} is to be measured in {nest}",
-    )
-
-
-def beam_prompt(
-    cell: Cell, key: str, place: str, near_mm: Array, limit_mm: float, error: NoReading
-) -> Prompt:
-    """Return the prompt after failed readings of a reflector.
-
-    The driver's message is in the alarm and the journal.
-    """
-    entry = entry_of(error.code, error.device)
-    found = entry.title if entry.specific else error.found
-    advice = reading_advice(error)
-    return Prompt(
-        title=f"No good reading of {place}",
-        text=f"{found}, at {where(cell, place)}. {advice[:1].upper()}{advice[1:]}.",
-        place=place,
-        expected_mm=_rounded(near_mm),
-        limit_mm=limit_mm,
-        reason=f"{key}: {error.summary}",
-    )
 
 
 def _rounded(at_mm: Array) -> tuple[float, float, float]:

@@ -80,24 +80,6 @@ class ResumedRun(RunPlan):
     operator_present: bool
 
 
-def check_attended(cell: Cell, procedure: Procedure, *, unattended: bool) -> None:
-    """Raise `HilcellError` where an unattended run would need an operator."""
-    if not unattended:
-        return
-    if procedure.by_hand:
-        raise HilcellError(
-            f"{procedure.name} refused before anything moves: an operator must "
-            f"{procedure.by_hand}; leave out --unattended",
-            code="HC-C16",
-        )
-    if cell.layout.by_hand:
-        raise HilcellError(
-            f"cell {cell.name}: layout.reflectors is by_hand: an operator must carry the "
-            "reflector; leave out --unattended, or mount reflectors in all nests",
-            code="HC-C16",
-        )
-
-
 def check_of_simulator(cell: Cell, option: str, value: float | None) -> None:
     """Raise `HilcellError` for a simulator's option where the run starts no simulator."""
     if value is None:

@@ -22,15 +22,7 @@ from hilcell.run.cell_lock import lock_of_device, locked
 from hilcell.run.cell_session import CellSession
 from hilcell.run.control import PromptStatus
 from hilcell.run.device_status import CellMonitor
-from hilcell.run.prompts import (
-    POLL_S,
-    PendingPrompt,
-    Prompt,
-    Verification,
-    passes,
-    refusal,
-    unanswered,
-)
+from hilcell.run.prompts import POLL_S, PendingPrompt, Prompt, Verification
 from hilcell.run.run_plan import RunPlan, changed_assets
 
 REST_S = 0.02
@@ -318,7 +310,7 @@ class Worker:
         Unattended, only a failed reading waits for a verification; without one it is a fault.
         """
         if self._unattended and (cause is None or self._wait.over):
-            raise unanswered(prompt, cause) from cause
+            raise prompt.unanswered(cause) from cause
         self.may_proceed.clear()
         self.pending.open(prompt)
         self._send(Asked(prompt, cause))
@@ -341,7 +333,7 @@ class Worker:
             if self._unattended and self._wait.over:
                 for error in self._lost.values():
                     raise error
-                raise unanswered(prompt, cause) from cause
+                raise prompt.unanswered(cause) from cause
 
     def _verify(
         self, prompt: Prompt, verify: Callable[[], Verification], answers: list[Future[str]]
@@ -356,14 +348,14 @@ class Worker:
             self.pending.show(result)
             self.monitor.refresh(at_once=bool(answers))
             self._note_lost()
-            verified = bool(answers or alone) and passes(prompt, result) and not self._lost
+            verified = bool(answers or alone) and prompt.passed_by(result) and not self._lost
             if verified:
                 self._send(Verified("answer" if answers else "look"))
                 while not self.may_proceed.wait(REST_S):
                     self._check_end()
                 why = ""
             elif answers:
-                why = refusal(prompt, result, self._lost)
+                why = prompt.refusal(result, self._lost)
                 self._journal.append("event", "", AnswerRefused(reason=why))
         finally:
             for answer in answers:

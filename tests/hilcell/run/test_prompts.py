@@ -15,7 +15,7 @@ from hilcell.ports import DeviceError, NoReading
 from hilcell.run import device_status
 from hilcell.run.cell_session import CellSession
 from hilcell.run.meter import Meter
-from hilcell.run.prompts import beam_prompt, unanswered
+from hilcell.run.prompts import Prompt
 from tests.hilcell.run.bed import Bed, Live, broken_beam, until
 from tests.hilcell.run.rig import Points, failing, hang, procedure
 
@@ -87,11 +87,12 @@ def test_a_lasting_break_asks_and_goes_on_when_the_reflector_is_seen(bed: Bed) -
     ],
 )
 def test_a_failed_reading_shows_the_steps_of_its_own_cause(error: NoReading, advice: str) -> None:
-    prompt = beam_prompt(load_cell("paper"), "grid/0-0-0", "flange", np.zeros(3), 20.0, error)
+    cell = load_cell("paper")
+    prompt = Prompt.failed_reading(cell, "grid/0-0-0", "flange", np.zeros(3), 20.0, error)
     assert prompt.text.partition("flange. ")[2].startswith(advice)
     assert prompt.text.endswith(".")
     assert not prompt.text.endswith("..")
-    assert unanswered(prompt, error).act.casefold().startswith(advice.casefold())
+    assert prompt.unanswered(error).act.casefold().startswith(advice.casefold())
 
 
 def test_what_was_seen_before_the_answer_proves_nothing(bed: Bed) -> None:

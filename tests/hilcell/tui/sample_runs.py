@@ -15,7 +15,7 @@ from hilcell.journal.journal import Record
 from hilcell.model.point import PointId
 from hilcell.model.records import Kind
 from hilcell.run.control import DeviceStatus, Interlock, PromptStatus, Status
-from hilcell.run.prompts import placement_prompt
+from hilcell.run.prompts import Prompt
 from hilcell.tui.run_view import EngineState
 from hilcell.tui.session import RunUpdate
 from tests.hilcell.verdicts import FITTED, plain
@@ -202,7 +202,7 @@ HEARD = ("checking", "running", "pausing", "paused", "suspended", "stopping")
 LIVE = (*HEARD, "silent", "looking")
 PROMPT = PromptStatus(
     title="Seat the reflector in P1",
-    text=placement_prompt(
+    text=Prompt.placement(
         load_cell("paper"), "P1", "F1", np.array([4007.5, -238.7, -480.3]), 5.0
     ).text,
     place="P1",
