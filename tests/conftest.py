@@ -24,7 +24,7 @@ from hypothesis import HealthCheck, Phase, settings
 from fakes import simulator
 from hilcell.journal import journal
 from hilcell.journal.runs_folder import OVERRIDE as RUNS
-from hilcell.programs.corrected import MEMORY as CORRECTED
+from hilcell.programs.corrected import CorrectedPoints
 from hilcell.run.cell_lock import OVERRIDE as LOCKS
 from hilcell.run.signals import COMMANDS
 from tests.cell_here import start_here
@@ -68,7 +68,7 @@ def _apart(
         monkeypatch.setattr(simulator, "_start", START)
     elif not request.node.get_closest_marker("process"):
         monkeypatch.setattr(subprocess.Popen, "__init__", _no_process)
-    corrected = Path(os.environ[RUNS], CORRECTED)
+    corrected = Path(os.environ[RUNS], CorrectedPoints.FILE)
     with no_leaks():
         yield
     corrected.unlink(missing_ok=True)

@@ -43,7 +43,6 @@ from hilcell.sanitize import counted
 
 BOUNDS = ["name", BOUND, "u_x_mm", "u_y_mm", "u_z_mm"]
 ORIENTATION_BOUND = "bound95_deg"  # where the calibration corrects orientation
-MEMORY = "corrected.csv"
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +225,7 @@ class UsableCalibration:
         runs = [self.release.runs.resolve(), *([folder.parent] if is_run(folder) else [])]
         for place in dict.fromkeys(runs):
             for each in (place, *run_folders(place)):
-                Memory(each).refuse(source.name, names, *targets_mm)
+                CorrectedPoints(each).refuse(source.name, names, *targets_mm)
 
     def remember(self, stamp: Stamp, *points: tuple[Array, Array]) -> list[str]:
         """Store nominal and corrected points, each (N, 3), or return a warning why not."""
@@ -237,7 +236,7 @@ class UsableCalibration:
         if folder.is_dir():
             try:
                 for nominal_mm, command_mm in points:
-                    Memory(folder).note(stamp.text, nominal_mm, command_mm)
+                    CorrectedPoints(folder).note(stamp.text, nominal_mm, command_mm)
             except OSError as error:
                 why = f"{folder} cannot be written ({error.strerror})"
             else:
@@ -277,19 +276,20 @@ def drill_mm_of(cell: Cell | None) -> tuple[float, float, float] | None:
     return cell.uncertainty.drill_offset_mm
 
 
-class Memory:
+class CorrectedPoints:
     """Corrected points stored in a folder, to recognise a list whose stamp was lost."""
 
+    FILE = "corrected.csv"
     SAME_MM = 0.009  # numbers may have been rounded, to two decimals
-    FAR = 4.0  # times that a correction moves a point: one that hardly moved is its nominal target
+    LEAST_MOVE = 4.0  # roundings: a point that moved by less is its nominal target
 
     def __init__(self, folder: Path) -> None:
-        self.file = folder / MEMORY
+        self.file = folder / self.FILE
 
     def note(self, stamp: str, nominal_mm: Array, command_mm: Array) -> None:
         """Store corrected points (N, 3), and their corrections; raises `OSError`."""
         moved_mm = lengths_mm(command_mm - nominal_mm)
-        rows = np.column_stack([command_mm, moved_mm])[moved_mm >= self.FAR * self.SAME_MM]
+        rows = np.column_stack([command_mm, moved_mm])[moved_mm >= self.LEAST_MOVE * self.SAME_MM]
         with self.file.open("a", encoding="utf-8", newline="") as file:
             csv.writer(file).writerows(
                 [stamp, *(f"{value:.4f}" for value in row)] for row in rows.tolist()
@@ -317,7 +317,7 @@ class Memory:
         found = KDTree(known[:, :3]).query(places_mm)
         same, nearest = np.asarray(found[0]) <= self.SAME_MM, np.asarray(found[1])
         rounded_mm = 0.09  # or to one: then most of a list is at earlier points
-        far = np.flatnonzero(known[:, 3] >= self.FAR * rounded_mm)
+        far = np.flatnonzero(known[:, 3] >= self.LEAST_MOVE * rounded_mm)
         if not same.any() and len(far):
             off_mm, nearest_far = KDTree(known[far, :3]).query(places_mm)
             rounded = np.asarray(off_mm) <= rounded_mm

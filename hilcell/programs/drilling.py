@@ -101,7 +101,7 @@ def station_program(
     station: str,
     names: Sequence[str],
     command: Array,
-    part: Part,
+    part: WorkPiece,
     remarks: Sequence[str],
 ) -> StationProgram:
     """Program for commands (N, 6) of the tip in {W}, as listed.
@@ -186,7 +186,7 @@ def _path(
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class WorkPiece:
     """The holes ``points_mm`` (N, 3) of a whole part in {W}, and its outward normals (N, 3)."""
 
     points_mm: Array
@@ -213,7 +213,7 @@ class Clearance:
     SAMPLES = 9  # by which a path's length is estimated
 
     def __init__(
-        self, cell: Cell, station: Station, arm: Arm, T_W_B: Array, part: Part, least_mm: float
+        self, cell: Cell, station: Station, arm: Arm, T_W_B: Array, part: WorkPiece, least_mm: float
     ) -> None:
         """Between holes the tip keeps ``least_mm`` in front of the part."""
         self._arm, self._T_W_B, self._part, self._least_mm = arm, T_W_B, part, least_mm
@@ -317,7 +317,7 @@ class _Box:
 
     ON_BOX_MM = 5.0  # a hole this near to a box lies on it
 
-    def carries(self, part: Part, front_mm: float) -> bool:
+    def carries(self, part: WorkPiece, front_mm: float) -> bool:
         """Whether holes lie on it, and it does not stick out beside them. ``front_mm`` in front of
         them it is at least half as far away.
         """

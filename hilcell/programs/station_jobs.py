@@ -38,7 +38,7 @@ from hilcell.ports import Array
 from hilcell.present.renderers import environment
 from hilcell.present.table import Column, Table
 from hilcell.programs.corrected import Corrected, UsableCalibration, drill_mm_of
-from hilcell.programs.drilling import NEAR_SHARE, REACH_MM, Drilling, Part, station_program
+from hilcell.programs.drilling import NEAR_SHARE, REACH_MM, Drilling, WorkPiece, station_program
 from hilcell.programs.holes import read_holes
 from hilcell.programs.plan import HolePlan, StationPlan, Volume
 from hilcell.programs.plan import plan as plan_holes
@@ -158,7 +158,7 @@ class StationJobs:
     released: UsableCalibration
     source: Path
     tip: Tip
-    part: Part
+    part: WorkPiece
     standoff_mm: float
     whole: HolePlan
     twins: list[str]
@@ -194,7 +194,7 @@ class StationJobs:
         for warning in found.warnings:
             say(warning)
         whole = plan_holes(cell, found, calibrated=Volume(released.calibration), say=say)
-        part = Part(found.points_mm, found.outward)
+        part = WorkPiece(found.points_mm, found.outward)
         jobs = cls(cell, released, holes, tip, part, standoff_mm, whole, found.twins)
         return replace(jobs, stations=[jobs._job(each) for each in whole.stations])
 

@@ -8,7 +8,7 @@ import pytest
 from hilcell.compensation.targets import CorrectedBefore
 from hilcell.journal.runs import CALIBRATION
 from hilcell.ports import Array
-from hilcell.programs.corrected import Memory
+from hilcell.programs.corrected import CorrectedPoints
 from tests.hilcell.commands.finished_runs import MADE, finished
 from tests.hilcell.commands.workplace import read_corrected
 from tests.hilcell.lists import write_targets
@@ -27,11 +27,11 @@ def runs(tmp_path: Path) -> Path:
 def refuse(runs: Path, targets: Array) -> None:
     names = [f"H{n}" for n in range(len(targets))]
     for folder in (runs, runs / "1-made"):
-        Memory(folder).refuse("again.csv", names, targets)
+        CorrectedPoints(folder).refuse("again.csv", names, targets)
 
 
 def test_corrected_points_are_known_again(runs: Path) -> None:
-    Memory(runs / "1-made").note("the stamp", NOMINAL, COMMAND)
+    CorrectedPoints(runs / "1-made").note("the stamp", NOMINAL, COMMAND)
     refuse(runs, NOMINAL)
     more = NOMINAL + [0.0, 500.0, 0.0]
     lists = (
@@ -52,21 +52,21 @@ def test_corrected_points_are_known_again(runs: Path) -> None:
 
 
 def test_targets_are_known_in_every_frame_that_they_were_corrected_in(runs: Path) -> None:
-    Memory(runs).note("the stamp", NOMINAL, COMMAND)
+    CorrectedPoints(runs).note("the stamp", NOMINAL, COMMAND)
     with pytest.raises(CorrectedBefore):
-        Memory(runs).refuse("again.src", ["H1", "H2", "H3"], COMMAND + 900.0, COMMAND)
+        CorrectedPoints(runs).refuse("again.src", ["H1", "H2", "H3"], COMMAND + 900.0, COMMAND)
 
 
 def test_a_point_that_hardly_moved_is_still_its_nominal_target(runs: Path) -> None:
     for step_mm in (0.005, 0.05):
-        Memory(runs / "1-made").note("the stamp", NOMINAL, NOMINAL + step_mm)
+        CorrectedPoints(runs / "1-made").note("the stamp", NOMINAL, NOMINAL + step_mm)
     refuse(runs, NOMINAL + 0.005)
     refuse(runs, NOMINAL)
 
 
 def test_a_file_that_was_cut_or_spoilt_is_read_as_far_as_it_goes(runs: Path) -> None:
-    Memory(runs / "1-made").note("the stamp", NOMINAL, COMMAND)
-    with Memory(runs / "1-made").file.open("ab") as file:
+    CorrectedPoints(runs / "1-made").note("the stamp", NOMINAL, COMMAND)
+    with CorrectedPoints(runs / "1-made").file.open("ab") as file:
         file.write(b"s,1.0,nan,2.0,1.0\ns,1.0,x,2.0,1.0\n\xff\xfe,1\ns,1.")
     with pytest.raises(CorrectedBefore):
         refuse(runs, COMMAND)

@@ -13,7 +13,7 @@ from hilcell.geometry.frames import apply
 from hilcell.geometry.inverse import NominalRobot
 from hilcell.geometry.kinematics import forward, link_transforms
 from hilcell.ports import Array
-from hilcell.programs.drilling import Clearance, Part
+from hilcell.programs.drilling import Clearance, WorkPiece
 
 CELL = load_cell("paper")
 STATION = CELL.station_named("S1100")
@@ -33,7 +33,7 @@ def clearance(at_mm: Array) -> Clearance:
         size_mm=(2.0 * HALF_MM, 2.0 * HALF_MM, 2.0 * HALF_MM),
     )
     cell = msgspec.structs.replace(CELL, keep_out=[box])
-    hole = Part((at_mm + HALF_MM * UP)[None], UP[None])
+    hole = WorkPiece((at_mm + HALF_MM * UP)[None], UP[None])
     return Clearance(cell, STATION, ARM, T_W_B, hole, 50.0)
 
 
@@ -73,7 +73,7 @@ def straight(*boxes: KeepOut, aside_mm: float = 0.0) -> str:
         other = holes + 40.0 * normals + aside_mm * (T_W_B[:3, :3] @ T[:3, 1])
         holes, normals = np.concatenate([holes, other]), np.tile(normals, (2, 1))
     cell = msgspec.structs.replace(CELL, keep_out=list(boxes) or CELL.keep_out)
-    return Clearance(cell, STATION, ARM, T_W_B, Part(holes, normals), 50.0).straight_refusal(
+    return Clearance(cell, STATION, ARM, T_W_B, WorkPiece(holes, normals), 50.0).straight_refusal(
         joints_rad
     )
 

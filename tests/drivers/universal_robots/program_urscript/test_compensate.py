@@ -15,7 +15,7 @@ from hilcell.cell.settings import SettingsError
 from hilcell.compensation.targets import CorrectedBefore, Stamp, refuse_corrected
 from hilcell.geometry.frames import apply, poses_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import forward
-from hilcell.programs.drilling import Drilling, Part, station_program
+from hilcell.programs.drilling import Drilling, WorkPiece, station_program
 from tests.drivers.universal_robots.program_urscript.samples import SCRIPT, TURN
 from tests.hilcell.calibration.calibrations import T_W_B, calibration
 from tests.hilcell.commands import workplace
@@ -133,7 +133,7 @@ def test_the_program_of_a_station_moves_to_the_joints_of_its_commands() -> None:
     tip = tool_tips(CELL)[0]
     drilling = Drilling(CELL, T_W_B, tip, 100.0)
     outward = -poses_from_zyx(targets)[:, :3, 2]
-    part = Part(targets[:, :3], outward)
+    part = WorkPiece(targets[:, :3], outward)
     program = station_program(drilling, "S1100", names, targets, part, ["SIMULATED"])
     ((name, content),) = write_station(program, STAMP).items()
     text = content.decode("ascii")
