@@ -1,8 +1,26 @@
 from __future__ import annotations
 
+import math
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
 import pytest
 
+from fakes.faults import Faults
+from fakes.site import Site
+from fakes.time import CellTime
+from fakes.truth.cell_truth import CellTruth
+from fakes.wires import Server
 from hilcell.cell.file import Cell, load_cell
+from hilcell.geometry.kinematics import Array
+from tests.fakes.rail_bench import Bus, on_bus
+from tests.fakes.wires import connected
+
+S = TypeVar("S", bound=Server)
+C = TypeVar("C")
 
 
 class DeviceTime:
@@ -31,6 +49,50 @@ def station_cell(*, serial: bool, prism_mm: float = 0.0) -> Cell:
 @pytest.fixture(scope="session")
 def cell() -> Cell:
     return load_cell("paper")
+
+
+def simulated_site(cell: Cell, speed: float = math.inf) -> tuple[Site, CellTruth]:
+    """Return a cell without faults, paced at ``speed`` or stepped, and its truth."""
+    faults, time = Faults(), CellTime(speed)
+    truth = CellTruth(cell, 1, time, faults)
+    return Site(cell, truth, faults, time), truth
+
+
+@dataclass
+class Served(Generic[S, C]):
+    """A device behind its wire, with a client of it."""
+
+    truth: CellTruth
+    faults: Faults
+    server: S
+    client: C
+
+    def at(self, name: str) -> Array:
+        """Return the place (3,) of a reflector, in the tracker's frame."""
+        return self.truth.tracker.reflectors()[name]
+
+
+@contextmanager
+def served(
+    serve: Callable[[Site], S],
+    client: Callable[[socket.socket], C],
+    cell: Cell,
+    speed: float = math.inf,
+) -> Iterator[Served[S, C]]:
+    """Serve a device of a fresh cell, and connect to it."""
+    site, truth = simulated_site(cell, speed)
+    server = serve(site)
+    with closing(server):
+        server.start()
+        with connected(int(str(server.address["port"]))) as wire:
+            yield Served(truth, site.faults, server, client(wire))
+        server.restore()  # timers end
+
+
+@pytest.fixture
+def bus() -> Iterator[Bus]:
+    with on_bus() as bus:
+        yield bus
 
 
 @pytest.fixture

@@ -15,17 +15,17 @@ from fakes.host import truth_answer
 from fakes.leica.emscon_server import EmsconDevice
 from fakes.simulator import Control, PaperCell
 from fakes.site import Site
-from fakes.time import CellTime
 from fakes.truth.cell_truth import FLANGE, CellTruth
 from hilcell.cell.file import Cell, load_cell
 from hilcell.ports import DeviceError
+from tests.fakes.conftest import simulated_site
 
 BY_HAND = {"layout.reflectors": "by_hand"}
 
 
 @pytest.fixture
 def truth() -> CellTruth:
-    return CellTruth(load_cell("paper", BY_HAND), 1, CellTime(), Faults())
+    return simulated_site(load_cell("paper", BY_HAND))[1]
 
 
 def test_it_lies_nowhere_until_it_is_put_somewhere(truth: CellTruth) -> None:
@@ -43,7 +43,7 @@ def test_it_lies_nowhere_until_it_is_put_somewhere(truth: CellTruth) -> None:
 
 
 def test_it_is_seen_where_mounted_ones_are(truth: CellTruth, cell: Cell) -> None:
-    mounted = CellTruth(cell, 1, CellTime(), Faults()).reflectors_in_world()
+    mounted = simulated_site(cell)[1].reflectors_in_world()
     places = truth.places_in_world()
     assert places.keys() == mounted.keys()
     assert all(np.array_equal(places[name], mounted[name]) for name in mounted)
@@ -60,7 +60,7 @@ def test_places_that_are_none_are_refused(truth: CellTruth, cell: Cell) -> None:
     with pytest.raises(ValueError, match="P9"):
         truth.place_reflector("P9")
     with pytest.raises(ValueError, match="mounted"):
-        CellTruth(cell, 1, CellTime(), Faults()).place_reflector("P1")
+        simulated_site(cell)[1].place_reflector("P1")
 
 
 @pytest.mark.parametrize("when", ["before the start", "while measuring"])

@@ -1,21 +1,15 @@
 from __future__ import annotations
 
-import contextlib
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 import py_openshowvar
 import pytest
 
-from fakes.faults import Faults
 from fakes.kuka.c3_server import C3Server
-from fakes.kuka.controller import KrlController
-from fakes.site import Site
-from fakes.time import CellTime
-from fakes.truth.cell_truth import CellTruth
 from hilcell.cell.file import Cell
+from tests.fakes.conftest import Served, served
 from tests.fakes.rail_bench import until
 from tests.fakes.wires import C3Client, connected, exactly, quiet
 
@@ -23,26 +17,13 @@ NEAR = [5.0, -85.0, 95.0, 0.0, -30.0, 10.0]
 FAR = [-60.0, -60.0, 60.0, 30.0, -60.0, 90.0]
 
 
-@dataclass
-class Robot:
-    truth: CellTruth
-    faults: Faults
-    server: C3Server
-    controller: KrlController
-    client: C3Client
+Robot = Served[C3Server, C3Client]
 
 
 @pytest.fixture
 def robot(cell: Cell) -> Iterator[Robot]:
-    faults = Faults()
-    truth = CellTruth(cell, 1, CellTime(), faults)
-    server = C3Server(Site(cell, truth, faults, truth.time))
-    controller = server.controller
-    with contextlib.closing(server):
-        server.start()
-        with connected(server.port) as wire:
-            yield Robot(truth, faults, server, controller, C3Client(wire))
-        controller.restore()  # its timer ends
+    with served(C3Server, C3Client, cell) as robot:
+        yield robot
 
 
 def numbers(text: str) -> list[float]:
@@ -204,7 +185,7 @@ def test_a_restored_program_keeps_nothing_of_a_fault(robot: Robot, fault: str) -
     robot.faults.set(fault)
     robot.client.start(1, FAR)
     robot.client.read("HC_ACK")
-    robot.controller.restore()
+    robot.server.controller.restore()
     robot.faults.set("robot.softlimit")
     robot.client.go(2, NEAR)
     assert robot.client.read("HC_ERR") == "2"

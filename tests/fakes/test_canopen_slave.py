@@ -18,18 +18,7 @@ from fakes.canopen.slave import (
     SdoAbortError,
     SdoServer,
 )
-from tests.fakes.rail_bench import (
-    DRIVE,
-    MASTER,
-    STRIP,
-    Bus,
-    Line,
-    Master,
-    SdoAbort,
-    on_bus,
-    served,
-    until,
-)
+from tests.fakes.rail_bench import DRIVE, MASTER, STRIP, Bus, Line, Master, SdoAbort, served, until
 
 
 def aborted(call: Callable[..., object], *args: object) -> int:
@@ -56,29 +45,27 @@ def test_boot_up_comes_after_open_and_once() -> None:
             assert line.frame() == b"t58584300100092010200", "the drive went on meanwhile"
 
 
-def test_golden_sdo_frames() -> None:
-    with on_bus() as bus:
-        for node, request, answer in (
-            (DRIVE, "4064600000000000", "4364600000000000"),  # encoder 0 at power-on
-            (DRIVE, "2B4060000F000000", "6040600000000000"),
-            (DRIVE, "4000100000000000", "4300100092010200"),
-            (STRIP, "4000100000000000", "4300100096010800"),
-        ):
-            assert bus.ask(node, bytes.fromhex(request)) == bytes.fromhex(answer)
-        for request, code in (("4000700000000000", 0x06020000), ("2B41600000000000", 0x06010002)):
-            assert aborted(bus.ask, DRIVE, bytes.fromhex(request)) == code
+def test_golden_sdo_frames(bus: Bus) -> None:
+    for node, request, answer in (
+        (DRIVE, "4064600000000000", "4364600000000000"),  # encoder 0 at power-on
+        (DRIVE, "2B4060000F000000", "6040600000000000"),
+        (DRIVE, "4000100000000000", "4300100092010200"),
+        (STRIP, "4000100000000000", "4300100096010800"),
+    ):
+        assert bus.ask(node, bytes.fromhex(request)) == bytes.fromhex(answer)
+    for request, code in (("4000700000000000", 0x06020000), ("2B41600000000000", 0x06010002)):
+        assert aborted(bus.ask, DRIVE, bytes.fromhex(request)) == code
 
 
-def test_golden_heartbeats() -> None:
-    with on_bus() as bus:
-        bus.write(0x1017, 0, 20, "H")
-        for command, state in ((b"", 0x7F), (b"\x01\x00", 0x05), (b"\x02\x05", 0x04)):
-            if command:
-                bus.send(0x000, command)
-            bus.let_pass(0.1)
-            assert bus.heard(0x705)[-1] == bytes([state])
-        bus.send(0x605, bytes.fromhex("4000100000000000"))
-        assert len(bus.heard(0x585)) == 1, "a stopped node answers no SDO"
+def test_golden_heartbeats(bus: Bus) -> None:
+    bus.write(0x1017, 0, 20, "H")
+    for command, state in ((b"", 0x7F), (b"\x01\x00", 0x05), (b"\x02\x05", 0x04)):
+        if command:
+            bus.send(0x000, command)
+        bus.let_pass(0.1)
+        assert bus.heard(0x705)[-1] == bytes([state])
+    bus.send(0x605, bytes.fromhex("4000100000000000"))
+    assert len(bus.heard(0x585)) == 1, "a stopped node answers no SDO"
 
 
 def test_sync_brings_the_mapped_data() -> None:
@@ -121,17 +108,16 @@ def test_identities() -> None:
 # -- mapping -----------------------------------------------------------------------------------
 
 
-def test_mapping_needs_the_pdo_off_and_the_count_zero() -> None:
-    with on_bus() as bus:
-        assert aborted(bus.write, 0x1A00, 0, 0, "B") == 0x08000022
-        assert aborted(bus.write, 0x1800, 1, 0xC0000385, "I") == 0x08000022
-        assert aborted(bus.write, 0x1801, 1, 0xC0000605, "I") == 0x06090030
-        assert aborted(bus.write, 0x1801, 1, 0x80000285, "I") == 0x06090030, "bit 30"
-        bus.write(0x1800, 1, 0xC0000185, "I")
-        assert aborted(bus.write, 0x1A00, 1, 0x60640020, "I") == 0x08000022
-        bus.write(0x1A00, 0, 0, "B")
-        bus.write(0x1A00, 1, 0x60640020, "I")
-        assert bus.read(0x1A00, 1) == 0x60640020
+def test_mapping_needs_the_pdo_off_and_the_count_zero(bus: Bus) -> None:
+    assert aborted(bus.write, 0x1A00, 0, 0, "B") == 0x08000022
+    assert aborted(bus.write, 0x1800, 1, 0xC0000385, "I") == 0x08000022
+    assert aborted(bus.write, 0x1801, 1, 0xC0000605, "I") == 0x06090030
+    assert aborted(bus.write, 0x1801, 1, 0x80000285, "I") == 0x06090030, "bit 30"
+    bus.write(0x1800, 1, 0xC0000185, "I")
+    assert aborted(bus.write, 0x1A00, 1, 0x60640020, "I") == 0x08000022
+    bus.write(0x1A00, 0, 0, "B")
+    bus.write(0x1A00, 1, 0x60640020, "I")
+    assert bus.read(0x1A00, 1) == 0x60640020
 
 
 @pytest.mark.parametrize(
@@ -143,17 +129,15 @@ def test_mapping_needs_the_pdo_off_and_the_count_zero() -> None:
         ((0x60640020, 0x606C0020, 0x60610008), 0x06040042),
     ],
 )
-def test_count_judges_the_mapping(entries: tuple[int, ...], code: int) -> None:
-    with on_bus() as bus:
-        assert aborted(bus.map_pdo, 0, entries) == code
+def test_count_judges_the_mapping(bus: Bus, entries: tuple[int, ...], code: int) -> None:
+    assert aborted(bus.map_pdo, 0, entries) == code
 
 
-def test_receive_pdo_too_short_is_an_emergency() -> None:
-    with on_bus() as bus:
-        bus.start_nodes()
-        bus.send(0x205, b"\x06")
-        assert bus.emergencies() == [0x8210]
-        assert bus.status() & 0x6F == 0x40
+def test_receive_pdo_too_short_is_an_emergency(bus: Bus) -> None:
+    bus.start_nodes()
+    bus.send(0x205, b"\x06")
+    assert bus.emergencies() == [0x8210]
+    assert bus.status() & 0x6F == 0x40
 
 
 @pytest.mark.parametrize(
@@ -188,51 +172,47 @@ def test_error_register(
         (0, 0x06, [b"\x50\x02", b"\x31\x02"]),  # changes only
     ],
 )
-def test_transmission_types(kind: int, word: int | None, sent: list[bytes]) -> None:
-    with on_bus() as bus:
-        bus.map_pdo(0, (0x60410010,), kind=kind)
-        bus.start_nodes()
-        bus.sync(3)
-        if word is not None:
-            bus.control(word)
-        bus.sync(4)
-        assert bus.heard(0x185) == sent
+def test_transmission_types(bus: Bus, kind: int, word: int | None, sent: list[bytes]) -> None:
+    bus.map_pdo(0, (0x60410010,), kind=kind)
+    bus.start_nodes()
+    bus.sync(3)
+    if word is not None:
+        bus.control(word)
+    bus.sync(4)
+    assert bus.heard(0x185) == sent
 
 
-def test_receive_pdo_on_sync_is_held_back() -> None:
-    with on_bus() as bus:
-        bus.write(0x1400, 2, 1, "B")
-        bus.start_nodes()
-        bus.send(0x205, b"\x06\x00")
-        assert bus.status() & 0x6F == 0x40
-        bus.sync()
-        assert bus.status() & 0x6F == 0x21
+def test_receive_pdo_on_sync_is_held_back(bus: Bus) -> None:
+    bus.write(0x1400, 2, 1, "B")
+    bus.start_nodes()
+    bus.send(0x205, b"\x06\x00")
+    assert bus.status() & 0x6F == 0x40
+    bus.sync()
+    assert bus.status() & 0x6F == 0x21
 
 
-def test_event_timer_sends_by_itself() -> None:
-    with on_bus() as bus:
-        bus.write(0x6200, 0, 20, "H", STRIP)
-        assert bus.read(0x1800, 5, "H", STRIP) == 20
-        bus.start_nodes()
-        bus.let_pass(0.1)
-        assert 4 <= len(bus.heard(0x186)) <= 6
+def test_event_timer_sends_by_itself(bus: Bus) -> None:
+    bus.write(0x6200, 0, 20, "H", STRIP)
+    assert bus.read(0x1800, 5, "H", STRIP) == 20
+    bus.start_nodes()
+    bus.let_pass(0.1)
+    assert 4 <= len(bus.heard(0x186)) <= 6
 
 
 # -- heartbeats and resets ---------------------------------------------------------------------
 
 
-def test_reset_restores_the_defaults_and_boots() -> None:
-    with on_bus() as bus:
-        bus.write(0x6081, 0, 1234, "I")
-        bus.write(0x1016, 1, MASTER << 16 | 500, "I")
-        boots = len(bus.heard(0x705))
-        bus.send(0x000, b"\x82\x05")
-        assert bus.heard(0x705)[boots:] == [b"\0"]
-        assert bus.read(0x1016, 1) == 0
-        assert bus.read(0x6081) == 1234
-        bus.send(0x000, b"\x81\x05")
-        assert bus.heard(0x705)[boots:] == [b"\0", b"\0"]
-        assert bus.read(0x6081) == 250_000
+def test_reset_restores_the_defaults_and_boots(bus: Bus) -> None:
+    bus.write(0x6081, 0, 1234, "I")
+    bus.write(0x1016, 1, MASTER << 16 | 500, "I")
+    boots = len(bus.heard(0x705))
+    bus.send(0x000, b"\x82\x05")
+    assert bus.heard(0x705)[boots:] == [b"\0"]
+    assert bus.read(0x1016, 1) == 0
+    assert bus.read(0x6081) == 1234
+    bus.send(0x000, b"\x81\x05")
+    assert bus.heard(0x705)[boots:] == [b"\0", b"\0"]
+    assert bus.read(0x6081) == 250_000
 
 
 def obeys(bus: Bus) -> bool:
@@ -241,22 +221,21 @@ def obeys(bus: Bus) -> bool:
     return bus.status() & 0x6F == 0x21
 
 
-def test_lost_heartbeat_is_an_emergency_and_ends_when_it_returns() -> None:
-    with on_bus() as bus:
-        bus.write(0x1016, 1, MASTER << 16 | 100, "I")
-        bus.start_nodes()
-        for _ in range(20):
-            bus.beat()
-            bus.let_pass(0.09)
-        assert bus.emergencies() == [], "as long as it beats all is well"
-        bus.let_pass(0.1)
-        assert bus.emergencies() == [0x8130]
-        assert bus.read(0x1001, 0, "B") == 0x11
-        assert bus.read(0x1003, 1) == 0x8130
-        assert not obeys(bus), "out of OPERATIONAL: no PDOs"
+def test_lost_heartbeat_is_an_emergency_and_ends_when_it_returns(bus: Bus) -> None:
+    bus.write(0x1016, 1, MASTER << 16 | 100, "I")
+    bus.start_nodes()
+    for _ in range(20):
         bus.beat()
-        assert bus.emergencies() == [0x8130, 0]
-        assert bus.read(0x1001, 0, "B") == 0
+        bus.let_pass(0.09)
+    assert bus.emergencies() == [], "as long as it beats all is well"
+    bus.let_pass(0.1)
+    assert bus.emergencies() == [0x8130]
+    assert bus.read(0x1001, 0, "B") == 0x11
+    assert bus.read(0x1003, 1) == 0x8130
+    assert not obeys(bus), "out of OPERATIONAL: no PDOs"
+    bus.beat()
+    assert bus.emergencies() == [0x8130, 0]
+    assert bus.read(0x1001, 0, "B") == 0
 
 
 def test_no_heartbeat_is_punctual() -> None:
@@ -275,29 +254,27 @@ def test_no_heartbeat_is_punctual() -> None:
     assert 0.25 < max(gaps_s) <= 0.26
 
 
-def test_start_before_the_first_new_heartbeat_does_not_hold() -> None:
-    with on_bus() as bus:
-        bus.write(0x1016, 1, MASTER << 16 | 50, "I")
-        bus.start_nodes()
-        bus.beat()
-        bus.let_pass(0.1)
-        assert bus.emergencies() == [0x8130]
-        bus.write(0x1016, 1, MASTER << 16 | 1000, "I")  # set again, and still latched
-        bus.start_nodes()
-        assert bus.emergencies() == [0x8130] * 2
-        assert not obeys(bus), "no PDOs in PRE-OPERATIONAL"
-        bus.beat()
-        bus.start_nodes()
-        assert obeys(bus)
+def test_start_before_the_first_new_heartbeat_does_not_hold(bus: Bus) -> None:
+    bus.write(0x1016, 1, MASTER << 16 | 50, "I")
+    bus.start_nodes()
+    bus.beat()
+    bus.let_pass(0.1)
+    assert bus.emergencies() == [0x8130]
+    bus.write(0x1016, 1, MASTER << 16 | 1000, "I")  # set again, and still latched
+    bus.start_nodes()
+    assert bus.emergencies() == [0x8130] * 2
+    assert not obeys(bus), "no PDOs in PRE-OPERATIONAL"
+    bus.beat()
+    bus.start_nodes()
+    assert obeys(bus)
 
 
-def test_rewritten_consumer_waits_for_the_first_heartbeat() -> None:
-    with on_bus() as bus:
-        bus.write(0x1016, 1, MASTER << 16 | 500, "I")
-        bus.beat()
-        bus.write(0x1016, 1, MASTER << 16 | 510, "I")
-        bus.let_pass(2.0)
-        assert bus.emergencies() == []
+def test_rewritten_consumer_waits_for_the_first_heartbeat(bus: Bus) -> None:
+    bus.write(0x1016, 1, MASTER << 16 | 500, "I")
+    bus.beat()
+    bus.write(0x1016, 1, MASTER << 16 | 510, "I")
+    bus.let_pass(2.0)
+    assert bus.emergencies() == []
 
 
 def server() -> tuple[SdoServer, ObjectDictionary]:

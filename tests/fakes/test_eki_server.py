@@ -4,18 +4,13 @@ import contextlib
 import re
 import socket
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import pytest
 
-from fakes.faults import Faults
-from fakes.kuka.controller import KrlController, KrlError
+from fakes.kuka.controller import KrlError
 from fakes.kuka.eki_server import RECEIVED, EkiServer, Overflow, Queues
-from fakes.site import Site
-from fakes.time import CellTime
-from fakes.truth.cell_truth import CellTruth
 from hilcell.cell.file import Cell
-from tests.fakes.conftest import DeviceTime
+from tests.fakes.conftest import DeviceTime, Served, served
 from tests.fakes.rail_bench import until
 from tests.fakes.wires import connected
 
@@ -26,7 +21,7 @@ ASK, MOVE, BRAKE, RELEASE, LOWER, GIVE_BACK = range(6)
 
 
 class EkiClient:
-    """Written from protocols.md: frames on the closing tag."""
+    """Frames on the closing tag."""
 
     def __init__(self, wire: socket.socket, end: bytes = END) -> None:
         self.wire, self._end, self._pending = wire, end, b""
@@ -79,26 +74,13 @@ def axes_of(state: dict[str, str]) -> list[float]:
     return [float(state[f"Pos.A{n}"]) for n in range(1, 7)]
 
 
-@dataclass
-class Robot:
-    truth: CellTruth
-    faults: Faults
-    server: EkiServer
-    controller: KrlController
-    client: EkiClient
+Robot = Served[EkiServer, EkiClient]
 
 
 @pytest.fixture
 def robot(cell: Cell) -> Iterator[Robot]:
-    faults = Faults()
-    truth = CellTruth(cell, 1, CellTime(), faults)
-    server = EkiServer(Site(cell, truth, faults, truth.time))
-    controller = server.controller
-    with contextlib.closing(server):
-        server.start()
-        with connected(server.port) as wire:
-            yield Robot(truth, faults, server, controller, EkiClient(wire))
-        controller.restore()  # its timer ends
+    with served(EkiServer, EkiClient, cell) as robot:
+        yield robot
 
 
 def test_a_motion_by_one_document(robot: Robot) -> None:
@@ -205,7 +187,7 @@ def test_a_command_with_a_value_missing_is_none(robot: Robot) -> None:
     robot.client.wire.sendall(b'<RobotCommand Id="2" Life="9"><Pos E1="0"/></RobotCommand>')
     with pytest.raises((EOFError, ConnectionError)):
         robot.client.answer(2)
-    assert robot.controller.read("HC_SEQ") == "1"
+    assert robot.server.controller.read("HC_SEQ") == "1"
 
 
 STOP = b'<RobotStop Id="%d" Brake="%d"></RobotStop>'
@@ -218,30 +200,30 @@ def test_a_stop_brakes_though_its_client_has_gone(robot: Robot, sent: bytes) -> 
     robot.client.ask(1, MOVE, FAR)
     with connected(robot.server.stop_port) as wire:
         wire.sendall(sent)
-    until(lambda: robot.controller.read("HC_STOP") == "TRUE")
-    assert robot.controller.read("HC_ERR") == "9"  # the timer, later, sets 8
+    until(lambda: robot.server.controller.read("HC_STOP") == "TRUE")
+    assert robot.server.controller.read("HC_ERR") == "9"  # the timer, later, sets 8
 
 
 def test_a_stop_without_a_number_and_with_another_value_brakes(robot: Robot) -> None:
     with connected(robot.server.stop_port) as wire:
         wire.sendall(b'<RobotStop Brake="2"></RobotStop>')
         EkiClient(wire, STOP_END).document()
-    assert robot.controller.read("HC_STOP") == "TRUE"
+    assert robot.server.controller.read("HC_STOP") == "TRUE"
 
 
 def test_a_motion_whose_client_has_gone_brakes(robot: Robot) -> None:
     robot.faults.set("robot.frozen")
     robot.client.ask(1, MOVE, FAR)
     robot.client.wire.shutdown(socket.SHUT_RDWR)
-    until(lambda: robot.controller.read("HC_STOP") == "TRUE")
-    assert robot.controller.read("HC_ERR") == "9"
+    until(lambda: robot.server.controller.read("HC_STOP") == "TRUE")
+    assert robot.server.controller.read("HC_ERR") == "9"
 
 
 def test_a_client_that_goes_after_its_motion_stops_nothing(robot: Robot) -> None:
     robot.client.go(1, NEAR)
     robot.client.wire.shutdown(socket.SHUT_RDWR)
     until(lambda: opens(robot))
-    assert robot.controller.read("HC_STOP") == "FALSE"
+    assert robot.server.controller.read("HC_STOP") == "FALSE"
 
 
 def test_a_full_queue_closes_the_connection() -> None:
@@ -261,5 +243,5 @@ def test_a_motion_brakes_when_no_command_comes(device_time: DeviceTime, robot: R
         device_time.at_s += 1.4
         assert robot.client.ask(number)["Command.Stopped"] == "FALSE"
     device_time.at_s += 1.6
-    until(lambda: robot.controller.read("HC_ERR") == "8")
+    until(lambda: robot.server.controller.read("HC_ERR") == "8")
     assert robot.client.ask(-3)["Command.Stopped"] == "TRUE"

@@ -1,34 +1,36 @@
-"""The total station's lines, on a socket and on a pseudo terminal, written from protocols.md."""
+"""The total station on a socket and on a pseudo terminal: its lines, and an independent client."""
 
 from __future__ import annotations
 
 import contextlib
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
+import geocompy.communication
+import geocompy.geo
 import numpy as np
 import pytest
 import serial
+from geocompy.communication import open_serial, open_socket
+from geocompy.geo import GeoCom
+from geocompy.geo.gctypes import GeoComCode
 
 from fakes.faults import Faults
 from fakes.leica.geocom_server import GeocomDevice, GeocomServer
-from fakes.site import Site
-from fakes.time import CellTime
 from fakes.truth.cell_truth import CellTruth
 from hilcell.cell.file import Cell
 from hilcell.geometry.kinematics import Array
-from tests.fakes.conftest import station_cell
+from tests.fakes.conftest import simulated_site, station_cell
 from tests.fakes.wires import connected
-
-Wire = Callable[[bytes], None]
 
 
 @dataclass
 class Station:
     truth: CellTruth
     faults: Faults
-    device: GeocomDevice
+    channel: str
     write: Callable[[bytes], object]
     readline: Callable[[], bytes]
     number: int = 0
@@ -63,21 +65,19 @@ class Station:
 
 @contextlib.contextmanager
 def running(cell: Cell, line: bool, prism_m: float = 0.0) -> Iterator[Station]:
-    faults, clock = Faults(), CellTime(math.inf)
-    truth = CellTruth(cell, 1, clock, faults)
-    site = Site(station_cell(serial=line, prism_mm=1000 * prism_m), truth, faults, clock)
-    server = GeocomServer(site)
-    device = server.device
+    site, truth = simulated_site(cell)
+    of_station = replace(site, cell=station_cell(serial=line, prism_mm=1000 * prism_m))
+    server = GeocomServer(of_station)
     with contextlib.closing(server), contextlib.ExitStack() as stack:
         server.start()
         channel = str(server.address["channel"])
         if line:
             port = stack.enter_context(serial.Serial(channel, 115200, timeout=None))
-            yield Station(truth, faults, device, port.write, port.readline)
+            yield Station(truth, site.faults, channel, port.write, port.readline)
         else:
             wire = stack.enter_context(connected(int(channel.rpartition(":")[2])))
             file = stack.enter_context(wire.makefile("rb"))
-            yield Station(truth, faults, device, wire.sendall, file.readline)
+            yield Station(truth, site.faults, channel, wire.sendall, file.readline)
 
 
 @pytest.fixture
@@ -178,9 +178,7 @@ def test_a_late_result_comes_with_the_next_one(station: Station) -> None:
 
 
 def test_a_motion_is_aborted(cell: Cell) -> None:
-    faults, clock = Faults(), CellTime(0.01)  # a motion takes minutes
-    truth = CellTruth(cell, 1, clock, faults)
-    server = GeocomServer(Site(cell, truth, faults, clock))
+    server = GeocomServer(simulated_site(cell, 0.01)[0])  # a motion takes minutes
     with contextlib.closing(server):
         server.start()
         port = int(str(server.address["channel"]).rpartition(":")[2])
@@ -189,3 +187,53 @@ def test_a_motion_is_aborted(cell: Cell) -> None:
             wire.sendall(b"c\r\n")
             assert lines.readline() == b"?\r\n"
             assert lines.readline() == b"%R1P,0,1:8\r\n"
+
+
+@pytest.fixture
+def peer(either: Station, monkeypatch: pytest.MonkeyPatch) -> Iterator[GeoCom]:
+    monkeypatch.setattr(geocompy.geo, "sleep", lambda _s: None)
+    monkeypatch.setattr(geocompy, "communication", SimpleNamespace(sleep=lambda _s: None))
+    if "://" in either.channel:
+        host, _, port = either.channel.rpartition("/")[2].partition(":")
+        wire = open_socket(host, int(port), "tcp", timeout=600)
+    else:
+        wire = open_serial(either.channel, speed=115200, timeout=600)
+    with contextlib.closing(wire):
+        yield GeoCom(wire)
+
+
+def test_a_measurement_from_first_to_last(peer: GeoCom, either: Station) -> None:
+    assert peer.csv.get_serial_number().params == GeocomDevice.SERIAL
+    assert peer.csv.get_instrument_name().params == "TS60 (simulated)"
+    assert peer.csv.get_firmware_version().params == (8, 50, 0)
+    assert peer.com.set_double_precision(15).error == GeoComCode.OK
+    peer.precision = 15
+    assert peer.aus.switch_user_atr(True).error == GeoComCode.OK
+    assert peer.aus.get_user_atr_state().params is True
+    assert peer.tmc.set_atmospheric_corrections(1e-6, 1009.0, 23.0, 23.0).error == GeoComCode.OK
+    assert peer.tmc.get_atmospheric_corrections().params == (1e-6, 1009.0, 23.0, 23.0)
+    assert peer.tmc.set_prism_correction(0.0).error == GeoComCode.OK
+    x, y, z = at_mm = either.at("F2")
+    hz, v = -math.atan2(y, x) % math.tau, math.atan2(math.hypot(x, y), z)
+    assert peer.aut.turn_to(hz, v).error == GeoComCode.OK
+    assert peer.aut.fine_adjust(0.01, 0.01).error == GeoComCode.OK
+    assert peer.tmc.do_measurement().error == GeoComCode.OK
+    found = peer.tmc.get_simple_measurement()
+    assert found.params is not None
+    hz_found, v_found, distance_m = found.params
+    assert float(hz_found) == pytest.approx(hz, abs=3e-5)
+    assert float(v_found) == pytest.approx(v, abs=3e-5)
+    assert 1000 * distance_m == pytest.approx(float(np.linalg.norm(at_mm)), abs=0.06)
+    coordinate = peer.tmc.get_coordinate().params
+    assert coordinate is not None
+    east, north, height = map(float, coordinate[0])
+    np.testing.assert_allclose([1000 * north, -1000 * east, 1000 * height], at_mm, atol=0.06)
+    assert peer.tmc.get_face().params is not None
+    assert peer.tmc.get_angle_inclination().params is not None
+
+
+def test_no_target_and_nothing_to_abort(peer: GeoCom) -> None:
+    peer.aus.switch_user_atr(True)
+    assert peer.aut.fine_adjust(1e-6, 1e-6).error == GeoComCode.AUT_NO_TARGET
+    assert peer.abort().error == GeoComCode.OK
+    assert peer.com.nullprocess().error == GeoComCode.OK

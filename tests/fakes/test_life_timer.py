@@ -7,28 +7,26 @@ from collections.abc import Iterator
 
 import pytest
 
-from fakes.faults import Faults
 from fakes.kuka.controller import KrlController
 from fakes.site import Site
-from fakes.time import CellTime, WatchdogTimer
-from fakes.truth.cell_truth import CellTruth
+from fakes.time import WatchdogTimer
 from hilcell.cell.file import Cell
-from tests.fakes.conftest import DeviceTime
+from tests.fakes.conftest import DeviceTime, simulated_site
 from tests.fakes.rail_bench import until
 
 FAR = "{E6AXIS: A1 -60.0, A2 -60.0, A3 60.0, A4 30.0, A5 -60.0, A6 90.0}"
 
 
 @pytest.fixture
-def truth(cell: Cell) -> CellTruth:
+def site(cell: Cell) -> Site:
     """Return one in real time, in which the motion lasts."""
-    return CellTruth(cell, 1, CellTime(1.0), Faults())
+    return simulated_site(cell, 1.0)[0]
 
 
 @pytest.fixture
-def robot(cell: Cell, truth: CellTruth, device_time: DeviceTime) -> Iterator[KrlController]:
+def robot(site: Site, device_time: DeviceTime) -> Iterator[KrlController]:
     """Return a controller under way that waits 2 s for a sign."""
-    controller = KrlController(Site(cell, truth, Faults(), truth.time))
+    controller = KrlController(site)
     for name, value in (("LIFE", "2000"), ("TGT", FAR), ("VEL", "1"), ("CMD", "1"), ("SEQ", "1")):
         controller.write(f"HC_{name}", value)
     yield controller
@@ -40,12 +38,12 @@ def lost(robot: KrlController) -> bool:
 
 
 def test_without_a_sign_the_robot_brakes_and_latches_until_it_is_taken_back(
-    robot: KrlController, truth: CellTruth, device_time: DeviceTime
+    robot: KrlController, site: Site, device_time: DeviceTime
 ) -> None:
     device_time.at_s = 2.1
     until(lambda: lost(robot))
     assert robot.read("HC_STOP") == "TRUE"
-    until(lambda: not truth.robot.moving)
+    until(lambda: not site.truth.robot.moving)
     stands = robot.read("$AXIS_ACT")
     robot.write("$TIMER[10]", "-100")  # a sign that comes too late changes nothing
     robot.write("HC_STOP", "TRUE")
@@ -56,14 +54,12 @@ def test_without_a_sign_the_robot_brakes_and_latches_until_it_is_taken_back(
     assert robot.read("$AXIS_ACT") == stands  # the command is gone
 
 
-def test_signs_keep_it_moving(
-    robot: KrlController, truth: CellTruth, device_time: DeviceTime
-) -> None:
+def test_signs_keep_it_moving(robot: KrlController, site: Site, device_time: DeviceTime) -> None:
     for _ in range(3):
         device_time.at_s += 1.9
         robot.write("$TIMER[10]", "-2000")
     assert (robot.read("HC_ERR"), robot.read("HC_STOP")) == ("0", "FALSE")
-    assert truth.robot.moving
+    assert site.truth.robot.moving
 
 
 def test_a_robot_that_stands_needs_no_sign(robot: KrlController, device_time: DeviceTime) -> None:

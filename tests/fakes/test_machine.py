@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import math
 import os
 from importlib import resources
 from pathlib import Path
@@ -8,15 +7,13 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from fakes.faults import Faults, load_faults
+from fakes.faults import load_faults
 from fakes.kuka.controller import KrlController
 from fakes.simulator import PaperCell
-from fakes.site import Site
-from fakes.time import CellTime
-from fakes.truth.cell_truth import CellTruth
 from fakes.truth.machine import cell_machine, load_machine
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
+from tests.fakes.conftest import simulated_site
 
 FOLDER = resources.files("fakes.truth.machines")
 
@@ -27,9 +24,7 @@ def test_a_cell_names_its_machine() -> None:
 
 
 def test_the_controllers_identity_is_the_machines() -> None:
-    cell = load_cell("six-r")
-    truth = CellTruth(cell, 1, CellTime(), Faults())
-    controller = KrlController(Site(cell, truth, Faults(), truth.time))
+    controller = KrlController(simulated_site(load_cell("six-r"))[0])
     assert controller.read("$TRAFONAME[]").startswith('"#SR12_1400')
     assert controller.read("$KR_SERIALNO") == "500147"
 
@@ -114,7 +109,7 @@ def test_a_machine_that_cannot_be_drawn_names_its_file_and_key(
     own = changed(tmp_path, before, after)
     cell = load_cell("paper", {"simulation.machine": own})
     with pytest.raises(SettingsError) as caught:
-        CellTruth(cell, 1, CellTime(math.inf), Faults())
+        simulated_site(cell)
     assert caught.value.source == f"simulation.machine {own!r}"
     assert caught.value.problems[0].startswith(f"{found}: ")
 

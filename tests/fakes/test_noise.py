@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fakes.truth.noise import Dither, KeyedNoise
-from tests.fakes.rail_bench import HUNTING, Bus, on_bus
+from tests.fakes.rail_bench import HUNTING, Bus
 
 
 def test_a_draw_that_nobody_asks_for_counts() -> None:
@@ -48,14 +48,13 @@ def looks(bus: Bus) -> list[tuple[int, int]]:
     return seen
 
 
-def test_a_servo_dithers_while_it_has_power() -> None:
-    with on_bus() as bus:
-        assert set(looks(bus)) == {(0, 0)}, "the brake holds it"
-        bus.enable(1)
-        positions, speeds = zip(*looks(bus), strict=True)
-        assert bus.rail.at_rest
-        assert 2 <= max(positions) - min(positions) <= 4
-        assert all(0 < abs(speed) <= HUNTING for speed in speeds)
-        for index, kind in ((0x6067, "I"), (0x6068, "H"), (0x606F, "H"), (0x6070, "H")):
-            bus.write(index, 0, 77, kind)  # the drive's own windows of position and speed
-            assert bus.read(index, 0, kind) == 77
+def test_a_servo_dithers_while_it_has_power(bus: Bus) -> None:
+    assert set(looks(bus)) == {(0, 0)}, "the brake holds it"
+    bus.enable(1)
+    positions, speeds = zip(*looks(bus), strict=True)
+    assert bus.rail.at_rest
+    assert 2 <= max(positions) - min(positions) <= 4
+    assert all(0 < abs(speed) <= HUNTING for speed in speeds)
+    for index, kind in ((0x6067, "I"), (0x6068, "H"), (0x606F, "H"), (0x6070, "H")):
+        bus.write(index, 0, 77, kind)  # the drive's own windows of position and speed
+        assert bus.read(index, 0, kind) == 77

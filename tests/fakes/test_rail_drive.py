@@ -21,7 +21,6 @@ from tests.fakes.rail_bench import (
     Bus,
     Master,
     SdoAbort,
-    on_bus,
     served,
     until,
 )
@@ -196,156 +195,145 @@ def test_leaving_the_network_in_motion_counts_as_a_lost_connection(command: byte
     assert drive.state is State.QUICK_STOP_ACTIVE
 
 
-def test_both_objects_of_a_frame_are_in_place_before_the_set_point() -> None:
+def test_both_objects_of_a_frame_are_in_place_before_the_set_point(bus: Bus) -> None:
     """RPDO 6040 + 607A: the controlword stands first, the target still belongs to it."""
-    with on_bus() as bus:
-        bus.home()
-        bus.write(0x1400, 1, 0xC0000205, "I")
-        bus.write(0x1600, 0, 0, "B")
-        for sub, entry in enumerate((0x60400010, 0x607A0020), start=1):
-            bus.write(0x1600, sub, entry, "I")
-        bus.write(0x1600, 0, 2, "B")
-        bus.write(0x1400, 1, 0x40000205, "I")
-        bus.start_nodes()
-        bus.send(0x205, bytes.fromhex("1F00") + (5000).to_bytes(4, "little"))
-        until(bus.arrived)
-        assert bus.position() == 5000
+    bus.home()
+    bus.write(0x1400, 1, 0xC0000205, "I")
+    bus.write(0x1600, 0, 0, "B")
+    for sub, entry in enumerate((0x60400010, 0x607A0020), start=1):
+        bus.write(0x1600, sub, entry, "I")
+    bus.write(0x1600, 0, 2, "B")
+    bus.write(0x1400, 1, 0x40000205, "I")
+    bus.start_nodes()
+    bus.send(0x205, bytes.fromhex("1F00") + (5000).to_bytes(4, "little"))
+    until(bus.arrived)
+    assert bus.position() == 5000
 
 
 # -- moves and homing --------------------------------------------------------------------------
 
 
-def test_homing_then_moves() -> None:
-    with on_bus() as bus:
-        bus.home()
-        assert bus.position() == 0
-        assert bus.read(0x60FD) == 0
-        bus.move(300_000)
-        assert bus.position() == 300_000
-        strip_mm = bus.read(0x6004, 0, "i", 6) / 100.0
-        assert abs(strip_mm - bus.rail.slide_mm()) < 0.02
+def test_homing_then_moves(bus: Bus) -> None:
+    bus.home()
+    assert bus.position() == 0
+    assert bus.read(0x60FD) == 0
+    bus.move(300_000)
+    assert bus.position() == 300_000
+    strip_mm = bus.read(0x6004, 0, "i", 6) / 100.0
+    assert abs(strip_mm - bus.rail.slide_mm()) < 0.02
 
 
-def test_never_homed_is_not_shown_as_homed() -> None:
-    with on_bus() as bus:
-        bus.enable(1)
-        bus.move(1000)
+def test_never_homed_is_not_shown_as_homed(bus: Bus) -> None:
+    bus.enable(1)
+    bus.move(1000)
+    bus.write(0x6060, 0, 6, "b")
+    assert not bus.status() & BIT_12
+
+
+def test_homing_without_its_method_is_an_error(bus: Bus) -> None:
+    bus.enable(6)
+    with pytest.raises(SdoAbort) as refused:
+        bus.write(0x6098, 0, 35, "b")
+    assert refused.value.code == 0x06090030
+    bus.control(0x1F)
+    assert bus.status() & (BIT_13 | BIT_12) == BIT_13
+
+
+def test_second_set_point_waits_unless_it_says_at_once(bus: Bus) -> None:
+    bus.home()
+    bus.start(200_000)
+    bus.start(100_000)
+    bus.control(0x0F)
+    assert bus.status() & BIT_12, "held back: no room for a third"
+    until(lambda: not bus.status() & BIT_12)
+    until(bus.arrived)
+    assert bus.position() == 100_000
+    bus.start(200_000)
+    bus.write(0x607A, 0, 50_000, "i")
+    bus.control(0x0F)
+    assert not bus.status() & BIT_12, "the acknowledge follows the set-point bit"
+    bus.control(0x3F)
+    until(bus.arrived)
+    assert bus.position() == 50_000
+
+
+def test_relative_set_point(bus: Bus) -> None:
+    bus.home()
+    bus.move(10_000)
+    bus.write(0x607A, 0, -2500, "i")
+    bus.control(0x5F)
+    until(bus.arrived)
+    assert bus.position() == 7500
+    bus.start(900_000)
+    assert not bus.slow()
+    bus.control(0x02)
+    until(lambda: bus.status() & 0x4F == 0x40)
+    stopped = bus.position()
+    bus.enable(1)
+    bus.write(0x607A, 0, 1000, "i")
+    bus.control(0x5F)
+    until(bus.arrived)
+    assert abs(bus.position() - stopped - 1000) <= 1, "from where it stands"
+
+
+def test_halt_and_on(bus: Bus) -> None:
+    bus.home()
+    bus.start(500_000)
+    bus.control(0x10F)
+    until(bus.slow)
+    assert bus.position() < 500_000
+    bus.control(0x0F)
+    until(lambda: bus.position() == 500_000)
+
+
+def test_software_limit_holds_the_target_back(bus: Bus) -> None:
+    bus.home()
+    bus.write(0x607D, 2, 20_000, "i")
+    bus.move(30_000)
+    assert bus.status() & BIT_11
+    assert bus.position() == 20_000
+
+
+def test_mode_cannot_change_in_motion(bus: Bus) -> None:
+    bus.enable(1)
+    bus.start(500_000)
+    with pytest.raises(SdoAbort) as refused:
         bus.write(0x6060, 0, 6, "b")
-        assert not bus.status() & BIT_12
+    assert refused.value.code == 0x08000022
 
 
-def test_homing_without_its_method_is_an_error() -> None:
-    with on_bus() as bus:
-        bus.enable(6)
-        with pytest.raises(SdoAbort) as refused:
-            bus.write(0x6098, 0, 35, "b")
-        assert refused.value.code == 0x06090030
-        bus.control(0x1F)
-        assert bus.status() & (BIT_13 | BIT_12) == BIT_13
-
-
-def test_second_set_point_waits_unless_it_says_at_once() -> None:
-    with on_bus() as bus:
-        bus.home()
-        bus.start(200_000)
-        bus.start(100_000)
-        bus.control(0x0F)
-        assert bus.status() & BIT_12, "held back: no room for a third"
-        until(lambda: not bus.status() & BIT_12)
-        until(bus.arrived)
-        assert bus.position() == 100_000
-        bus.start(200_000)
-        bus.write(0x607A, 0, 50_000, "i")
-        bus.control(0x0F)
-        assert not bus.status() & BIT_12, "the acknowledge follows the set-point bit"
-        bus.control(0x3F)
-        until(bus.arrived)
-        assert bus.position() == 50_000
-
-
-def test_relative_set_point() -> None:
-    with on_bus() as bus:
-        bus.home()
-        bus.move(10_000)
-        bus.write(0x607A, 0, -2500, "i")
-        bus.control(0x5F)
-        until(bus.arrived)
-        assert bus.position() == 7500
-        bus.start(900_000)
-        assert not bus.slow()
-        bus.control(0x02)
-        until(lambda: bus.status() & 0x4F == 0x40)
-        stopped = bus.position()
-        bus.enable(1)
-        bus.write(0x607A, 0, 1000, "i")
-        bus.control(0x5F)
-        until(bus.arrived)
-        assert abs(bus.position() - stopped - 1000) <= 1, "from where it stands"
-
-
-def test_halt_and_on() -> None:
-    with on_bus() as bus:
-        bus.home()
-        bus.start(500_000)
-        bus.control(0x10F)
-        until(bus.slow)
-        assert bus.position() < 500_000
-        bus.control(0x0F)
-        until(lambda: bus.position() == 500_000)
-
-
-def test_software_limit_holds_the_target_back() -> None:
-    with on_bus() as bus:
-        bus.home()
-        bus.write(0x607D, 2, 20_000, "i")
-        bus.move(30_000)
-        assert bus.status() & BIT_11
-        assert bus.position() == 20_000
-
-
-def test_mode_cannot_change_in_motion() -> None:
-    with on_bus() as bus:
-        bus.enable(1)
-        bus.start(500_000)
-        with pytest.raises(SdoAbort) as refused:
-            bus.write(0x6060, 0, 6, "b")
-        assert refused.value.code == 0x08000022
-
-
-def test_real_limit_switch_is_a_fault() -> None:
-    with on_bus() as bus:
-        bus.home()
-        bus.start(-5000)
-        until(bus.faulty)
-        assert bus.status() & BIT_11
-        assert bus.read(0x603F, 0, "H") == 0x8612
-        assert bus.read(0x60FD) == 1
-        bus.control(0x80)
-        bus.enable(1)
-        bus.move(5000)
-        assert bus.position() == 5000, "away from the switch it may go"
-        assert not bus.status() & BIT_11
+def test_real_limit_switch_is_a_fault(bus: Bus) -> None:
+    bus.home()
+    bus.start(-5000)
+    until(bus.faulty)
+    assert bus.status() & BIT_11
+    assert bus.read(0x603F, 0, "H") == 0x8612
+    assert bus.read(0x60FD) == 1
+    bus.control(0x80)
+    bus.enable(1)
+    bus.move(5000)
+    assert bus.position() == 5000, "away from the switch it may go"
+    assert not bus.status() & BIT_11
 
 
 # -- stops -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("option", "ends"), [(2, 0x40), (6, 0x07)])
-def test_quick_stop_by_receive_pdo(option: int, ends: int) -> None:
-    with on_bus() as bus:
-        bus.home()
-        bus.write(0x605A, 0, option, "h")
-        bus.start_nodes()
-        bus.start(1_000_000)
-        bus.send(0x205, b"\x02\x00")
-        until(bus.slow)
-        assert bus.status() & 0x4F == ends & 0x4F
-        assert bus.rail.at_rest
-        assert bus.position() < 1_000_000
-        if option == 6:
-            assert bus.status() & BIT_10
-            bus.control(0x0F)
-            assert bus.status() & 0x6F == 0x27
+def test_quick_stop_by_receive_pdo(bus: Bus, option: int, ends: int) -> None:
+    bus.home()
+    bus.write(0x605A, 0, option, "h")
+    bus.start_nodes()
+    bus.start(1_000_000)
+    bus.send(0x205, b"\x02\x00")
+    until(bus.slow)
+    assert bus.status() & 0x4F == ends & 0x4F
+    assert bus.rail.at_rest
+    assert bus.position() < 1_000_000
+    if option == 6:
+        assert bus.status() & BIT_10
+        bus.control(0x0F)
+        assert bus.status() & 0x6F == 0x27
 
 
 def left_alone(bus: Bus, option: int) -> None:
@@ -367,25 +355,23 @@ def left_alone(bus: Bus, option: int) -> None:
 
 
 @pytest.mark.parametrize(("option", "stopped"), [(1, 0x08), (2, 0x40), (3, 0x40)])
-def test_lost_heartbeat_stops_a_moving_slide(option: int, stopped: int) -> None:
+def test_lost_heartbeat_stops_a_moving_slide(bus: Bus, option: int, stopped: int) -> None:
     """The drive stops by itself, as 6007 says, when the master falls silent."""
-    with on_bus() as bus:
-        left_alone(bus, option)
-        assert bus.rail.at_rest
-        assert bus.status() & 0x4F == stopped
-        position = bus.position()
-        assert 0 < position < 2_900_000, "the drive kept its reference"
-        assert bus.read(0x6007, 0, "h") == option
-        if option == 3:
-            bus.enable(1)
-            bus.move(position + 1000)
+    left_alone(bus, option)
+    assert bus.rail.at_rest
+    assert bus.status() & 0x4F == stopped
+    position = bus.position()
+    assert 0 < position < 2_900_000, "the drive kept its reference"
+    assert bus.read(0x6007, 0, "h") == option
+    if option == 3:
+        bus.enable(1)
+        bus.move(position + 1000)
 
 
-def test_lost_heartbeat_may_stop_nothing() -> None:
-    with on_bus() as bus:
-        left_alone(bus, 0)
-        assert bus.status() & 0x6F == 0x27
-        assert not bus.rail.at_rest
+def test_lost_heartbeat_may_stop_nothing(bus: Bus) -> None:
+    left_alone(bus, 0)
+    assert bus.status() & 0x6F == 0x27
+    assert not bus.rail.at_rest
 
 
 # -- canopen's own CiA 402 node as the peer ----------------------------------------------------

@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from statistics import median
 
 import pytest
 
+from fakes.strip import StripLine
+from hilcell.cell.file import Cell
+from tests.fakes.conftest import simulated_site
 from tests.fakes.rail_bench import STRIP, Bus, on_bus, until
 
 
@@ -72,3 +75,16 @@ def test_same_moves_give_the_same_figures_however_often_one_looks() -> None:
             found.append((strip, bus.rail.slide_mm(), bus.time.now_s()))
     assert found[0][0] == found[1][0]
     assert all(math.isclose(a, b, abs_tol=1e-9) for a, b in zip(*found, strict=True))
+
+
+def test_a_head_that_misses_its_strip_says_so_in_its_register(cell: Cell) -> None:
+    """The strip on a serial line of its own."""
+    site, _ = simulated_site(cell)
+    with closing(StripLine(site, {})) as line:
+        line.answers(b"Z")
+        assert line.answers(b"X") == ([b"0x00>\r"], b"")
+        site.faults.set("rail.missing_magnet")
+        line.answers(b"Z")
+        assert line.answers(b"X") == ([b"0x01>\r"], b"")
+        line.answers(b"Z")
+        assert line.answers(b"XA") == ([b"0x00>\r"], b"A")

@@ -7,12 +7,13 @@ import struct
 import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from drivers.kuka.robot_c3 import decode_body, encode
-from fakes.replay import player
+from fakes.replay import player, recorded_cell
 from fakes.replay.dialects import Dialect, Slcan, StripLine, dialects_of
 from fakes.replay.player import (
     STUCK,
@@ -28,10 +29,12 @@ from fakes.replay.player import (
     exchanges,
     shown,
 )
+from fakes.replay.recorded_cell import without_dialect
 from fakes.universal_robots.dialect import Rtde
 from fakes.wires import Listener
+from hilcell.cell.file import load_cell
 from hilcell.wire.channel import Socket, parse_channel
-from hilcell.wire.recording import Piece
+from hilcell.wire.recording import CLOCK, Piece
 
 OUTPUTS, DATA = 79, 85
 FIELDS = ("timestamp", "actual_q", "output_int_register_24", "output_int_register_26",
@@ -531,3 +534,33 @@ def test_a_sign_of_life_lets_no_recorded_time_pass() -> None:
     given = [Piece.of(5, 1, ">", sign), Piece.of(5, 1, "<", reply)]
     assert [each.asked for each in exchanges(given, c3)] == [b""]
     assert [each.asked for each in exchanges(given[:1], c3)] == [b"", sign]
+
+
+@pytest.mark.parametrize(
+    ("asked", "answer", "refused"),
+    [
+        (b"where?\r\n", b"1,2,3\r\n", ""),
+        (b"where?\n", b"", ""),
+        (b"", b"", ""),
+        (b"MoveJoints(1,2)\0", b"[3004][1]\0", "the driver"),
+        (b"<ask/>", b"<state/>", "the driver"),
+        (b"where?\n", b"\x01\x00\x00\x10", "the device"),
+        (b"\x02\n", b"1\n", "the driver"),
+    ],
+)
+def test_a_wire_that_is_no_plain_lines_needs_a_dialect(
+    asked: bytes, answer: bytes, refused: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell = load_cell("paper")
+    pieces = {
+        CLOCK: [Piece.of(0.0, 0, "now", bytes(8))],
+        "robot": [Piece.of(1.0, 1, ">", asked), Piece.of(1.1, 1, "<", answer)],
+    }
+    paths = {name: Path(f"{name}.wire.jsonl") for name in pieces}
+    assert [*without_dialect(cell, paths, pieces)] == []  # that of its driver is stated
+    monkeypatch.setattr(recorded_cell, "dialects_of", lambda *_: {})
+    found = [*without_dialect(cell, paths, pieces)]
+    assert len(found) == bool(refused)
+    for each in found:
+        assert each.startswith(f"robot.wire.jsonl: the bytes of {refused} are")
+        assert cell.robot.driver in each

@@ -6,7 +6,7 @@ import contextlib
 import math
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from fakes.faults import Faults
-from fakes.site import Site
 from fakes.t2sa_server import T2saDevice, T2saServer, read_points, target_fan, write
 from fakes.time import CellTime
 from fakes.truth.cell_truth import CellTruth
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 from hilcell.geometry.kinematics import Array
+from tests.fakes.conftest import simulated_site
 from tests.fakes.wires import connected
 
 RESULT = re.compile(
@@ -61,18 +61,17 @@ class Bridge:
 
 @contextlib.contextmanager
 def running(cell: Cell, folder: Path, speed: float = math.inf) -> Iterator[Bridge]:
-    faults, clock = Faults(), CellTime()
-    truth = CellTruth(cell, 1, clock, faults)
+    site, truth = simulated_site(cell)
     at_mm = truth.tracker.reflectors()
     points = {"NEAR": 0.8 * at_mm["F1"] + [0, 30, 0], "AWAY": -at_mm["F1"], "F2": at_mm["F2"]}
     write(folder / "points.csv", points)
     options = {"points": str(folder / "points.csv"), "collection": "A", "group": "G"}
     tracker = msgspec.structs.replace(cell.tracker, options=options)
     cell = msgspec.structs.replace(cell, tracker=tracker)
-    server = T2saServer(Site(cell, truth, faults, CellTime(speed)))
+    server = T2saServer(replace(site, cell=cell, time=CellTime(speed)))
     with contextlib.closing(server):
         server.start()
-        yield Bridge(truth, faults, clock, points, server)
+        yield Bridge(truth, site.faults, site.time, points, server)
 
 
 @pytest.fixture
@@ -168,9 +167,8 @@ def test_a_halt_overtakes_a_measurement(cell: Cell, tmp_path: Path, own: bool) -
 
 
 def test_the_list_of_a_site_is_what_the_bridge_has(cell: Cell, tmp_path: Path) -> None:
-    faults, clock = Faults(), CellTime()
-    truth = CellTruth(cell, 1, clock, faults)
-    server = T2saServer(Site(cell, truth, faults, clock))
+    site, _ = simulated_site(cell)
+    server = T2saServer(site)
     listed = Path(str(server.address["points"]))
     points = read_points(listed)
     assert len(points) > 1000
@@ -180,10 +178,11 @@ def test_the_list_of_a_site_is_what_the_bridge_has(cell: Cell, tmp_path: Path) -
     own = tmp_path / "own.csv"
     write(own, {"P1": np.array([1.0, 2.0, 3.0])})
     tracker = msgspec.structs.replace(cell.tracker, options={"points": str(own)})
-    server = T2saServer(Site(msgspec.structs.replace(cell, tracker=tracker), truth, faults, clock))
+    site = replace(site, cell=msgspec.structs.replace(cell, tracker=tracker))
+    server = T2saServer(site)
     assert "points" not in server.address
     server.close()
     assert own.exists()
     own.write_text("P1,1,two,3\n", "ascii")
     with pytest.raises(SettingsError):
-        T2saServer(Site(msgspec.structs.replace(cell, tracker=tracker), truth, faults, clock))
+        T2saServer(site)

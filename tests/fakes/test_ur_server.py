@@ -14,14 +14,11 @@ import numpy as np
 import pytest
 
 from fakes import wires
-from fakes.faults import Faults
 from fakes.site import Site
-from fakes.time import CellTime
-from fakes.truth.cell_truth import CellTruth
 from fakes.universal_robots import server as ur_server
 from fakes.universal_robots.server import UrServer
 from hilcell.cell.file import load_cell
-from tests.fakes.conftest import DeviceTime
+from tests.fakes.conftest import DeviceTime, simulated_site
 from tests.fakes.rail_bench import until
 from tests.fakes.wires import REGISTERS, RtdeClient, connected, exactly
 
@@ -52,8 +49,7 @@ class Robot:
 
 @contextlib.contextmanager
 def serving(port: int = 0, speed: float = 50.0) -> Iterator[Robot]:
-    faults, time = Faults(), CellTime(speed)
-    site = Site(LAB, CellTruth(LAB, 1, time, faults), faults, time)
+    site, _ = simulated_site(LAB, speed)
     server = ur_server.serve(site, port)
     with contextlib.closing(server):
         server.start()
