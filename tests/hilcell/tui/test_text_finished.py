@@ -25,6 +25,7 @@ from hilcell.tui.session import RunUpdate
 from hilcell.tui.terminal import ASCII, UNICODE
 from hilcell.tui.text.finished import (
     Figure,
+    Finished,
     Head,
     Result,
     finished_verdict,
@@ -39,6 +40,7 @@ from tests.hilcell.tui.sample_runs import SampleRun, sample_runs, validated
 from tests.hilcell.tui.views import drawn, view_of
 
 ROWS = 16  # of the box at 80x24
+NAN = math.nan
 PLACES = {
     "S300": {"mean": 0.113, "p95": 0.192, "max": 0.218},
     "S1100": {"mean": 0.110, "p95": 0.195, "max": 0.310},
@@ -71,6 +73,16 @@ def finished(state: str, places: dict[str, dict[str, float]], U_mm: float = 0.00
     return view
 
 
+def verdict(view: RunView) -> Finished:
+    found = finished_verdict(view)
+    assert found is not None
+    return found
+
+
+def verdict_text(view: RunView, width: int = 79, rows: int = ROWS) -> str:
+    return drawn(verdict(view).lines(view, UNICODE), width, rows)
+
+
 def judge(view: RunView, name: str, **changed: Any) -> None:
     """Change the verdict on a station."""
     key = f"validation.{name}"
@@ -79,24 +91,24 @@ def judge(view: RunView, name: str, **changed: Any) -> None:
 
 def test_the_worst_mean_and_the_worst_single_are_named_with_their_stations() -> None:
     view = finished("done", PLACES)
-    found = finished_verdict(view)
-    assert found is not None
+    found = verdict(view)
     assert (found.worst_mean.name, found.worst_single.name) == ("S300", "S1100")
     assert [each.name for each in found.stations] == ["S300", "S1100", "S1900"]
-    text = drawn(found.lines(view, UNICODE), 79, ROWS)
+    text = verdict_text(view)
     for figure in ("PASS", "0.113", "0.310"):
         assert large_rows(figure)[1] in text
     for words in ("● at S300, limit 0.120", "▲ at S1100, limit 0.300", "SIMULATION"):
         assert words in text
     assert "below 0.118 mm at S300" in text  # the true mean
+    judge(view, "S1100", mean_mm=0.1, max_mm=0.25)
+    assert "0.310" not in verdict_text(view)  # the figures that it was judged by
 
 
 def test_a_failure_says_its_reason_and_steps() -> None:
     view = finished("intolerant", PLACES | {"S1900": {"mean": 0.222, "p95": 0.4, "max": 1.084}})
-    found = finished_verdict(view)
-    assert found is not None
+    found = verdict(view)
     assert found.words == ("FAIL", "out of tolerance")
-    text = drawn(found.lines(view, UNICODE), 79, ROWS)
+    text = verdict_text(view)
     row = next(line for line in text.split("\n") if line.startswith(" S1900"))
     assert row.split() == ["S1900", "75", "1.200", "0.222", "0.400", "1.084", "▲", "FAIL"]
     assert "▲ HC-V01 S1900: mean 0.222 over 0.120, single 1.084 over 0.300" in text
@@ -105,22 +117,11 @@ def test_a_failure_says_its_reason_and_steps() -> None:
     assert large_rows("FAIL")[0] in text
 
 
-def test_a_station_shows_the_figures_it_was_judged_by() -> None:
-    view = finished("done", PLACES)
-    judge(view, "S1100", mean_mm=0.1, max_mm=0.25)
-    found = finished_verdict(view)
-    assert found is not None
-    text = drawn(found.lines(view, UNICODE), 79, ROWS)
-    assert "0.310" not in text
-
-
 def test_no_reason_and_no_step_of_a_failure_is_cut() -> None:
     places = PLACES | {name: {"mean": 0.222, "p95": 0.4, "max": 1.084} for name in PLACES}
     view = finished("intolerant", places)
-    found = finished_verdict(view)
-    assert found is not None
     for width, rows in ((59, 22), (79, ROWS + 5)):
-        text = " ".join(drawn(found.lines(view, UNICODE), width, rows).split())
+        text = " ".join(verdict_text(view, width, rows).split())
         assert "…" not in text
         assert all(f"{name}: mean 0.222 over 0.120, single 1.084" in text for name in PLACES)
         assert all(step in text for step in view.alarms[0].do)
@@ -129,60 +130,38 @@ def test_no_reason_and_no_step_of_a_failure_is_cut() -> None:
 def test_a_station_that_is_not_shown_to_hold_names_its_uncertainty() -> None:
     view = finished("intolerant", PLACES, U_mm=0.01)
     judge(view, "S300", holds=False, decided=Outcome.UNDECIDED)
-    found = finished_verdict(view)
-    assert found is not None
-    assert found.reasons == "S300: mean 0.113, U 0.010: not shown below 0.120"
-    assert "▲ at S300, limit 0.120" in drawn(found.lines(view, UNICODE), 79, ROWS)
-
-
-def test_a_largest_error_that_is_not_shown_to_hold_is_no_plain_one() -> None:
+    assert verdict(view).reasons == "S300: mean 0.113, U 0.010: not shown below 0.120"
+    assert "▲ at S300, limit 0.120" in verdict_text(view)
     view = finished("intolerant", PLACES | {"S1100": {"mean": 0.05, "p95": 0.1, "max": 0.298}})
     judge(view, "S1100", holds=False, decided=Outcome.UNDECIDED, max_U_mm=0.005)
-    found = finished_verdict(view)
-    assert found is not None
-    assert "▲ at S1100, limit 0.300" in drawn(found.lines(view, UNICODE), 79, ROWS)
+    assert "▲ at S1100, limit 0.300" in verdict_text(view)
 
 
 def test_a_nan_is_the_worst_and_fails() -> None:
-    nan = float("nan")
-    view = finished("intolerant", PLACES | {"S300": {"mean": nan, "p95": nan, "max": nan}})
-    found = finished_verdict(view)
-    assert found is not None
+    view = finished("intolerant", PLACES | {"S300": dict.fromkeys(("mean", "p95", "max"), NAN)})
+    found = verdict(view)
     assert found.worst_mean.name == found.worst_single.name == "S300"
-    assert "▲ at S300" in drawn(found.lines(view, UNICODE), 79, ROWS)
+    assert "▲ at S300" in verdict_text(view)
 
 
 def test_an_undecided_run_is_not_called_out_of_tolerance() -> None:
     view = finished("intolerant", PLACES)
     judge(view, "S300", holds=False, decided=Outcome.UNDECIDED)
-    found = finished_verdict(view)
-    assert found is not None
+    found = verdict(view)
     assert found.words == ("UNDECIDED", "neither pass nor fail")
     assert "UNDECIDED" in drawn(RunText(view).banner())
     assert "OUT OF TOLERANCE" not in drawn(RunText(view).banner())
-    lines = drawn(found.lines(view, UNICODE), 78, ROWS).split("\n")
+    lines = verdict_text(view, 78).split("\n")
     assert not any("FAIL" in line for line in lines)
     assert "UNDECIDED" in lines[2]
     [row] = [line for line in lines if line.startswith(" S300")]
     assert row.endswith("▲ undecided")
 
 
-@pytest.mark.parametrize(
-    ("standing", "said"), [(0, "● no alarms"), (1, "▲ 1 alarm: e"), (2, "▲ 2 alarms: e")]
-)
-def test_an_alarm_that_still_stands_is_counted_beside_a_pass(standing: int, said: str) -> None:
-    view = finished("done", PLACES)
-    found = finished_verdict(view)
-    assert found is not None
-    assert said in drawn(found.lines(view, UNICODE, standing), 79, ROWS)
-
-
 def test_more_stations_than_there_is_room_for_are_counted() -> None:
     many = {f"P{n}": {"mean": 0.01 * n, "p95": 0.1, "max": 0.2} for n in range(9)}
     view = finished("done", many)
-    found = finished_verdict(view)
-    assert found is not None
-    text = drawn(found.lines(view, UNICODE), 79, ROWS)
+    text = verdict_text(view)
     assert "P8 " in text  # the worst
     assert "more in the report" in text
 
@@ -192,8 +171,7 @@ def test_a_simulation_is_marked_inside_the_verdict(simulated: bool) -> None:
     view = finished("done", PLACES)
     assert view.log.plan is not None
     view.log.plan = msgspec.structs.replace(view.log.plan, simulated=simulated)
-    found = finished_verdict(view)
-    assert found is not None
+    found = verdict(view)
     for width, rows in ((79, ROWS), (59, 8)):
         text = drawn(found.lines(view, ASCII), width, rows)
         assert ("SIMULATION" in text) == simulated
@@ -223,8 +201,7 @@ def test_a_result_of_another_kind_has_no_verdict(result: dict[str, object]) -> N
 
 def test_it_fits_where_there_is_little_room() -> None:
     view = view_of("done")
-    found = finished_verdict(view)
-    assert found is not None
+    found = verdict(view)
     for width, rows in product((20, 38, 58, 79), (4, 8, 13, ROWS)):
         lines = found.lines(view, UNICODE).lines(width, rows)
         assert max(line.cell_length for line in lines) <= width
@@ -243,18 +220,15 @@ def test_an_orientation_over_its_limit_is_the_reason(
 ) -> None:
     view = finished("intolerant", PLACES | {"S1100": PLACES["S1900"]})
     limited(view, max_deg=max_deg, max_U_deg=U_deg, decided=Outcome(outcome), holds=False)
-    found = finished_verdict(view)
-    assert found is not None
+    found = verdict(view)
     assert found.reasons == said
-    assert said in " ".join(drawn(found.lines(view, UNICODE), 79, ROWS + 5).split())
+    assert said in " ".join(verdict_text(view, 79, ROWS + 5).split())
 
 
 def test_an_orientation_in_its_limit_is_shown() -> None:
     view = finished("done", PLACES | {"S1100": PLACES["S1900"]})
     limited(view, max_deg=0.0123, max_U_deg=0.01)
-    found = finished_verdict(view)
-    assert found is not None
-    text = drawn(found.lines(view, UNICODE), 79, ROWS)
+    text = verdict_text(view)
     assert "orientation, worst: 0.0123° at S300, limit 0.05°" in text
 
 
@@ -274,10 +248,8 @@ LONG = "Heck-Spantaktstation-Nord-Linie-2-Bauabschnitt-4-Platz-11"
 
 def test_a_long_name_of_a_station_hides_no_limit_and_no_figure() -> None:
     view = finished("done", {LONG: PLACES["S300"]})
-    found = finished_verdict(view)
-    assert found is not None
     for width, rows in ((79, ROWS), (59, 9)):
-        text = drawn(found.lines(view, UNICODE), width, rows)
+        text = verdict_text(view, width, rows)
         assert "…, limit 0.120" in text
         assert "…, limit 0.300" in text
         assert "below 0.118 mm" in text
@@ -287,10 +259,8 @@ def test_a_phrase_without_room_is_left_out_whole() -> None:
     view = finished("done", PLACES)
     assert view.log.end is not None
     view.log.end.result["validation"]["S300"]["floor"] = {"mean": 0.031, "p95": 0.05}
-    found = finished_verdict(view)
-    assert found is not None
-    wide = drawn(found.lines(view, UNICODE), 79, 9)
-    small = drawn(found.lines(view, UNICODE), 59, 9)
+    wide = verdict_text(view, 79, 9)
+    small = verdict_text(view, 59, 9)
     assert "floor: 0.031 mm" in wide
     assert "floor:" not in small
     assert "…" not in small
@@ -307,47 +277,33 @@ def test_what_to_do_about_a_u_that_is_too_large_is_seen_in_24_rows() -> None:
         if key.startswith("validation.")
     }
     view.alarms = alarms_of(view.log, "r", live=False)
-    found = finished_verdict(view)
-    assert found is not None
+    found = verdict(view)
     assert [found.reasons.count(name) for name in PLACES] == [1] * len(PLACES)
-    text = " ".join(drawn(found.lines(view, UNICODE), 79, ROWS).split())
+    text = " ".join(verdict_text(view).split())
     assert "HC-V17" in text
     assert view.alarms[0].do[0] in text
 
 
 @pytest.mark.parametrize(
-    ("causes", "said"),
+    ("causes", "standing", "words"),
     [
-        (["over"], "no alarms; 1 that is over: e"),
-        (["over", "over"], "no alarms; 2 that are over: e"),
-        (["watched"], "1 alarm: e"),
-        (["over", "watched", "not watched"], "2 alarms: e; 1 that is over: e"),
-        ([], "no alarms"),
+        ([], 0, "● no alarms"),
+        ([], 1, "▲ 1 alarm: e"),
+        ([], 2, "▲ 2 alarms: e"),
+        (["over"], 0, "● no alarms; 1 that is over: e"),
+        (["over", "over"], 0, "● no alarms; 2 that are over: e"),
+        (["watched"], 0, "▲ 1 alarm: e"),
+        (["over", "watched", "not watched"], 0, "▲ 2 alarms: e; 1 that is over: e"),
     ],
 )
-def test_an_alarm_that_is_over_is_not_counted_as_one(causes: list[Cause], said: str) -> None:
+def test_alarms_are_counted_beside_a_pass_but_not_those_that_are_over(
+    causes: list[Cause], standing: int, words: str
+) -> None:
     view = finished("done", PLACES)
-    view.alarms = [
-        Alarm(
-            "HC-T10",
-            "notice",
-            "Beam broken",
-            "Tracker",
-            "broke",
-            "means",
-            ("do",),
-            "",
-            n,
-            cause=cause,
-        )
-        for n, cause in enumerate(causes)
-    ]
-    found = finished_verdict(view)
-    assert found is not None
-    assert f" {said}" in drawn(found.lines(view, UNICODE), 79, ROWS)
-
-
-NAN = math.nan
+    texts = "HC-T10", "notice", "Beam broken", "Tracker", "broke", "means", ("do",), ""
+    view.alarms = [Alarm(*texts, n, cause=cause) for n, cause in enumerate(causes)]
+    lines = verdict(view).lines(view, UNICODE, standing)
+    assert f" {words}" in drawn(lines, 79, ROWS)
 
 
 @pytest.mark.parametrize(

@@ -57,14 +57,11 @@ BOUNDS = {"coverage": 0.963, "mean_mm": 0.2171, "max_mm": 0.3}
 @pytest.mark.parametrize(
     ("seconds", "wanted"),
     [(0, "0:00"), (-3, "0:00"), (0.6, "0:01"), (59.4, "0:59"), (59.6, "1:00"), (61, "1:01"),
-     (3599, "59:59"), (3600, "1:00:00"), (86399, "23:59:59"), (100 * 3600, "100:00:00")],
+     (3599, "59:59"), (3600, "1:00:00"), (86399, "23:59:59"), (100 * 3600, "100:00:00"),
+     (math.nan, "-:--"), (math.inf, "-:--"), (-math.inf, "-:--")],
 )  # fmt: skip
 def test_durations(seconds: float, wanted: str) -> None:
     assert run_text.duration(seconds) == wanted
-
-
-def test_a_duration_that_is_no_number_is_shown_as_dashes() -> None:
-    assert {run_text.duration(s) for s in (math.nan, math.inf, -math.inf)} == {"-:--"}
 
 
 @pytest.mark.parametrize(
@@ -123,10 +120,6 @@ def test_a_lamp_is_not_good_when_the_engine_has_gone_silent() -> None:
         assert not any("passed" in str(span.style) for span in lamp.spans)
     view.status_age_s = math.nan
     assert view.stale
-
-
-def test_a_past_run_has_no_lamps() -> None:
-    assert drawn(DeviceText(view_of("done")).lamps(), 80).count(" -") == 4
 
 
 def test_a_robot_on_the_floor_has_no_lamps_of_a_rail() -> None:
@@ -224,9 +217,7 @@ def test_the_next_step_is_named_with_the_time_to_it() -> None:
 
 def test_a_part_of_a_validation_is_named() -> None:
     story = validated()
-    view = RunView("r", engine=EngineState.ANSWERING)
-    for record in story.records:
-        view.take(record)
+    view = view_in(story)
     assert ": corrected targets at S1100" in drawn(RunText(view).step(), 79)
     story.point(PointId("control", nest="F1"), commanded_deg=None)
     view.take(story.records[-1])
@@ -266,10 +257,6 @@ def test_a_long_job_leaves_room_for_the_run() -> None:
     assert "job JJJJ" in line
     assert "…" in line
     assert line.endswith("run made-up")
-
-
-def test_a_journal_that_cannot_be_read_says_why() -> None:
-    assert drawn(RunText(view_of("unreadable")).identity(), 80).endswith("damaged or not a journal")
 
 
 def test_the_newest_point_stays_while_nests_are_proven() -> None:
@@ -349,20 +336,15 @@ def test_a_finished_run_that_judged_nothing_says_so() -> None:
 
 
 @pytest.mark.parametrize(
-    ("drift_k", "warns"), [(0.0, False), (2.0, False), (2.1, True), (-2.1, True), (math.nan, True)]
-)
-def test_the_air_warns_when_it_drifts(drift_k: float, warns: bool) -> None:
+    ("celsius", "begin"),
+    [(22.5, "22.5 °C"), (24.5, "24.5 °C"), (24.6, "▲ "), (20.4, "▲ "), (math.nan, "▲ "),
+     (None, "air not measured")],
+)  # fmt: skip
+def test_the_air_warns_when_it_drifts(celsius: float | None, begin: str) -> None:
     view = view_of("running")
     assert view.last is not None
-    view.last = msgspec.structs.replace(view.last, temperature_c=22.5 + drift_k)
-    assert DeviceText(view).air().plain.startswith("▲ ") == warns
-
-
-def test_a_tracker_without_a_weather_station_is_reported() -> None:
-    view = view_of("running")
-    assert view.last is not None
-    view.last = msgspec.structs.replace(view.last, temperature_c=None)
-    assert DeviceText(view).air().plain == "air not measured"
+    view.last = msgspec.structs.replace(view.last, temperature_c=celsius)
+    assert DeviceText(view).air().plain.startswith(begin)
 
 
 # -- ASCII -----------------------------------------------------------------------------------------
@@ -386,8 +368,6 @@ def test_deviations_are_values() -> None:
 
 def test_a_start_that_was_refused_has_lost_no_engine() -> None:
     view = RunView("r")
-    for record in sample_run("idle").records:
-        view.take(record)
     assert (view.log.plan, view.state) == (None, "idle")
     plan, *_ = sample_run("running").records
     view.take(plan)
@@ -406,9 +386,9 @@ def test_a_point_that_is_re_measured_has_no_time_left() -> None:
     assert "left" not in drawn(RunText(view).progress(), 79)
 
 
-def view_after(story: SampleRun, age_s: float = 0.4) -> RunView:
+def view_in(story: SampleRun, state: str = "running", age_s: float = 0.4) -> RunView:
     """Return a live run's view some time after its last record."""
-    view = RunView("r", engine=EngineState.ANSWERING, status=status("running"))
+    view = RunView("r", engine=EngineState.ANSWERING, status=status(state))
     for record in story.records:
         view.take(record)
     view.now = story.now + timedelta(seconds=age_s - 1.0)
@@ -454,29 +434,29 @@ def test_an_old_value_is_grey_and_says_that_it_was(norm_mm: float, word: str) ->
 
 
 def test_the_newest_point_ages() -> None:
-    assert Shown.newest(view_after(validated())).remark == "0.4 s ago"
-    assert not Shown.newest(view_after(validated())).stale
-    found = Shown.newest(view_after(validated(), Shown.STALE_S + 6))
+    assert Shown.newest(view_in(validated())).remark == "0.4 s ago"
+    assert not Shown.newest(view_in(validated())).stale
+    found = Shown.newest(view_in(validated(), age_s=Shown.STALE_S + 6))
     assert (found.stale, found.remark) == (True, "36 s old")
 
 
 def test_a_point_is_not_bright_where_nothing_is_heard() -> None:
-    view = view_after(validated())
+    view = view_in(validated())
     view.status_age_s = 2.1
     assert Shown.newest(view).stale
 
 
 def test_the_digits_of_a_step_before_are_grey() -> None:
-    found = Shown.newest(view_after(validated().step(7)))
+    found = Shown.newest(view_in(validated().step(7)))
     assert not found.stale
-    found = Shown.newest(view_after(measuring().step(6)))
+    found = Shown.newest(view_in(measuring().step(6)))
     assert found.stale
     assert found.name.startswith("last point: grid point 0-0-4")
 
 
 def test_a_point_without_a_nominal_place_has_no_digits_of_the_one_before() -> None:
     story = measuring().point(PointId("repeatability", place=0, number=2), None)
-    found = Shown.newest(view_after(story))
+    found = Shown.newest(view_in(story))
     assert found.deviation is None
     text = drawn(found.lines(UNICODE))
     assert "repeated pose 1 3 at S1100" in text
@@ -485,15 +465,12 @@ def test_a_point_without_a_nominal_place_has_no_digits_of_the_one_before() -> No
 
 
 def test_a_chosen_point_says_that_it_is_chosen() -> None:
-    view = view_after(validated())
+    view = view_in(validated())
     found = Shown.chosen(view, "validate/S1100/idw/000")
     assert found.name == "chosen point: target 1 at S1100, paper method"
     assert found.word == "paper method: no limit"
     assert Shown.chosen(view, "none").deviation is None
-
-
-def test_a_point_that_nobody_chose_is_the_last_one() -> None:
-    found = Shown.chosen(view_after(measuring()), "grid/0-0-4", chosen=False)
+    found = Shown.chosen(view, "grid/0-0-4", chosen=False)  # nobody chose it
     assert found.name == "last point: grid point 0-0-4 at S1100"
 
 
@@ -554,13 +531,6 @@ async def test_the_space_bar_promises_nothing_while_an_engine_starts(
 ) -> None:
     assert "space  pause" in text_of(app)
     assert "go on" not in text_of(app)
-
-
-def view_in(story: SampleRun, state: str = "running") -> RunView:
-    view = RunView("r", engine=EngineState.ANSWERING, status=status(state))
-    for record in story.records:
-        view.take(record)
-    return view
 
 
 def test_events_go_first_then_steps() -> None:
@@ -653,25 +623,20 @@ def test_the_forecast_says_what_is_ahead() -> None:
 
 def test_events_are_told_in_words() -> None:
     story = validated()
+    story.add("intent", "grid/9-9-9", action="robot.move")  # its point is not measured yet
+    story.point(PointId("grid", vertex=(8, 8, 8)))
     view = view_in(story)
     errors = {"validate/S1100/chosen/001": 0.1005}
     words = [RunText(view).event_text(record, errors) for record in story.records]
-    assert words[-1] == "measured corrected target 2 at S1100: |e| 0.101 mm"
+    assert words[-3:] == [
+        "measured corrected target 2 at S1100: |e| 0.101 mm",
+        "robot sent to grid point 9-9-9 at S1100",
+        "measured grid point 8-8-8 at S1100",
+    ]
     assert "rail held at S1100: 1100.00 mm by the strip, 2nd approach" in words
     assert "robot sent to grid point 0-0-3 at S1100" in words
     assert "the run is running" in words
     assert not any(text.startswith("plan") for text in words)
-
-
-def test_a_point_that_is_not_measured_yet_has_its_name() -> None:
-    story = measuring()
-    story.add("intent", "grid/9-9-9", action="robot.move")
-    view = view_in(story)
-    assert (
-        RunText(view).event_text(story.records[-1], {}) == "robot sent to grid point 9-9-9 at S1100"
-    )
-    story.point(PointId("grid", vertex=(8, 8, 8)))
-    assert RunText(view).event_text(story.records[-1], {}) == "measured grid point 8-8-8 at S1100"
 
 
 def test_events_show_no_raw_keys() -> None:
@@ -730,8 +695,12 @@ SHEET = """
 """
 
 
-def test_digits_are_as_drawn() -> None:
+def test_digits_are_as_drawn_and_no_two_signs_look_alike() -> None:
     assert [row.rstrip() for row in large_rows("0123456789")] == SHEET.strip().splitlines()
+    signs = "012346789+-.PASFIL"
+    assert len({large_rows(sign) for sign in signs}) == len(signs)
+    with pytest.raises(KeyError):
+        large_rows("0,1")
 
 
 @pytest.mark.parametrize("text", ["0.189", "-1.234", "+0.5", "PASS", "FAIL", "-.---", "−0.1"])
@@ -742,16 +711,6 @@ def test_rows_are_of_equal_length(text: str) -> None:
     assert [len(line) for line in large(text, "", UNICODE)] == [len(rows[0])] * 3
 
 
-def test_no_two_signs_look_alike() -> None:
-    signs = "012346789+-.PASFIL"
-    assert len({large_rows(sign) for sign in signs}) == len(signs)
-
-
-def test_a_letter_without_a_shape_is_refused() -> None:
-    with pytest.raises(KeyError):
-        large_rows("0,1")
-
-
 def test_in_ascii_it_is_one_bold_line() -> None:
     lines = [line.plain for line in large("0.189", "$passed", ASCII)]
     assert lines == ["     ", "0.189", "     "]
@@ -760,9 +719,6 @@ def test_in_ascii_it_is_one_bold_line() -> None:
 @pytest.mark.parametrize("value_mm", [math.nan, math.inf, -math.inf])
 def test_what_is_no_number_is_shown_as_none(value_mm: float) -> None:
     assert large_rows(figure(value_mm)) == large_rows("-.---")
-
-
-def test_a_length_has_three_decimals() -> None:
     assert figure(0.1886) == "0.189"
 
 
