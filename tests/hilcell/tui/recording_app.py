@@ -249,11 +249,11 @@ def run_app(
     state: str = "",
     *,
     update: RunUpdate | None = None,
-    keymap: Keymap | None = None,
     size: tuple[int, int] = ROOMY,
+    **stage: Any,
 ) -> RecordingApp:
     """Put a state on the stage, do something there, and return what is left of it."""
-    app = RecordingApp(options(RUNS, keymap=keymap), state, update)
+    app = RecordingApp(options(RUNS, **stage), state, update)
 
     async def run() -> None:
         async with app.run_test(size=size) as pilot:

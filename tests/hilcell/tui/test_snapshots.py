@@ -7,7 +7,6 @@ To write them again after an intended change, then read the difference before it
 
 from __future__ import annotations
 
-import asyncio
 import difflib
 import os
 from pathlib import Path
@@ -18,13 +17,12 @@ from textual.command import CommandList, CommandPalette
 from hilcell.tui.terminal import UNICODE
 from tests.hilcell.tui.all_screens import form_of, isolated, screens_of
 from tests.hilcell.tui.recording_app import (
-    RUNS,
     SIZE,
     Press,
-    RecordingApp,
     Stage,
-    options,
+    on_screen,
     press,
+    run_app,
     settle,
     text_at_rest,
 )
@@ -101,69 +99,51 @@ async def _pages(app: Stage, pilot: Press, state: str) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("state", STATES)
-def test_every_screen_looks_as_it_did(state: str) -> None:
-    app = RecordingApp(options(RUNS), state)
-
-    async def look() -> dict[str, str]:
-        async with app.run_test(size=SIZE) as pilot:
-            return await _pages(app, pilot, state)
-
-    seen = asyncio.run(look())
+@on_screen(size=SIZE)
+async def test_every_screen_looks_as_it_did(app: Stage, pilot: Press, state: str) -> None:
+    seen = await _pages(app, pilot, state)
     problems = differences(seen)
     assert not problems, problems
     assert all(len(line) <= SIZE[0] for text in seen.values() for line in text.splitlines())
 
 
-def test_the_form_and_its_plan_look_as_they_did() -> None:
-    app = RecordingApp(options(RUNS))
-
-    async def look() -> dict[str, str]:
-        async with app.run_test(size=SIZE) as pilot:
-            return await form_of(app, pilot)
-
-    problems = differences({f"new-{name}": text for name, text in asyncio.run(look()).items()})
+@on_screen(size=SIZE)
+async def test_the_form_and_its_plan_look_as_they_did(app: Stage, pilot: Press) -> None:
+    seen = await form_of(app, pilot)
+    problems = differences({f"new-{name}": text for name, text in seen.items()})
     assert not problems, problems
 
 
-def test_the_map_stands_beside_the_points_where_no_column_needs_its_place() -> None:
+@on_screen("running", size=WIDE)
+async def test_the_map_stands_beside_the_points_where_no_column_needs_its_place(
+    app: Stage, pilot: Press
+) -> None:
     """On one terminal, which changes its width."""
-
-    async def look() -> list[int]:
-        found = []
-        app = RecordingApp(options(RUNS), "running")
-        async with app.run_test(size=WIDE) as pilot:
-            for width in (90, 99, 100, 119, 120, 137, 138):
-                await pilot.resize_terminal(width, WIDE[1])
-                await pilot.pause()
-                if app.screen.query_one("#side").display:
-                    found.append(width)
-        return found
-
-    assert asyncio.run(look()) == [100, 119, 138]
+    found = []
+    for width in (90, 99, 100, 119, 120, 137, 138):
+        await pilot.resize_terminal(width, WIDE[1])
+        await pilot.pause()
+        if app.screen.query_one("#side").display:
+            found.append(width)
+    assert found == [100, 119, 138]
 
 
 @pytest.mark.parametrize("state", CROWDED)
-def test_small_terminals_keep_the_state_and_wide_ones_add_panels(state: str) -> None:
+@on_screen(size=WIDE)
+async def test_small_terminals_keep_the_state_and_wide_ones_add_panels(
+    app: Stage, pilot: Press, state: str
+) -> None:
     """On one terminal, which changes its size."""
-
-    async def look() -> dict[tuple[int, int], str]:
-        seen = {}
-        app = RecordingApp(options(RUNS), state)
-        async with app.run_test(size=WIDE) as pilot:
-            for size in (WIDE, LOW, TINY):
-                await pilot.resize_terminal(*size)
-                await settle(pilot)
-                seen[size] = text_at_rest(app)
-        return seen
-
-    seen = asyncio.run(look())
-    for size, text in seen.items():
+    for size in (WIDE, LOW, TINY):
+        await pilot.resize_terminal(*size)
+        await settle(pilot)
+        text = text_at_rest(app)
         lines = text.splitlines()
         assert UNICODE.states[state] in lines[0]
         assert all(len(line) <= size[0] for line in lines)
         assert len(lines) == size[1]
-    problems = differences({f"wide-{state}-run": seen[WIDE]})
-    assert not problems, problems
+        problems = differences({f"wide-{state}-run": text}) if size == WIDE else ""
+        assert not problems, problems
 
 
 def test_no_file_is_kept_of_a_screen_that_is_gone() -> None:
@@ -180,16 +160,12 @@ def test_no_file_is_kept_of_a_screen_that_is_gone() -> None:
 )  # fmt: skip
 def test_ascii_is_ascii_on_every_screen(state: str, whole: bool) -> None:
     """On the first screen of states; by day test_untrusted_text looks at every page."""
-    app = RecordingApp(options(RUNS, ascii_only=True), state)
 
-    async def look() -> dict[str, str]:
-        async with app.run_test(size=SIZE) as pilot:
-            if not state:
-                return await form_of(app, pilot)
-            if whole:
-                return await screens_of(app, pilot)
-            await settle(pilot)
-            return {"run": text_at_rest(app)}
+    async def look(app: Stage, pilot: Press) -> None:
+        if not state:
+            seen = await form_of(app, pilot)
+        else:
+            seen = await screens_of(app, pilot) if whole else {"run": text_at_rest(app)}
+        assert not {name: set(text) for name, text in seen.items() if not text.isascii()}
 
-    foreign = {name: set(text) for name, text in asyncio.run(look()).items() if not text.isascii()}
-    assert not foreign
+    run_app(look, state, size=SIZE, ascii_only=True)

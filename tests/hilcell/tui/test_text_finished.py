@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 from itertools import product
 from operator import itemgetter
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -20,7 +18,7 @@ from hilcell.model.records import Ended
 from hilcell.model.verdicts import Judged
 from hilcell.present.table import Column, Table
 from hilcell.tui.layout import large_rows
-from hilcell.tui.run_view import EngineState, RunView
+from hilcell.tui.run_view import RunView
 from hilcell.tui.session import RunUpdate
 from hilcell.tui.terminal import ASCII, UNICODE
 from hilcell.tui.text.finished import (
@@ -35,8 +33,8 @@ from hilcell.tui.text.finished import (
 )
 from hilcell.tui.text.run import RunText
 from tests.hilcell.calibration.pose_tests import made_up
-from tests.hilcell.tui.recording_app import RecordingApp, options, press, settle, text_of
-from tests.hilcell.tui.sample_runs import SampleRun, sample_runs, validated
+from tests.hilcell.tui.recording_app import Press, Stage, press, run_app, text_of
+from tests.hilcell.tui.sample_runs import sample_runs, validated
 from tests.hilcell.tui.views import drawn, view_of
 
 ROWS = 16  # of the box at 80x24
@@ -498,20 +496,15 @@ def test_a_table_is_drawn_to_the_width_and_cuts_no_number(width: int) -> None:
 
 
 def test_the_screen_shows_the_result_and_its_points_at_a_key() -> None:
-    story = SampleRun()
-    story.records = list(validated().state("finished").records)
+    story = validated().state("finished")
     story.add("end", state="finished", exit=0, result={"iso9283": TEST})
-    update = RunUpdate(story.records, EngineState.NONE, None, "")
 
-    async def look() -> None:
-        app = RecordingApp(options(Path("/runs")), update=update)
-        async with app.run_test(size=(80, 24)) as pilot:
-            await settle(pilot)
-            assert "worst AP_p, mm" in text_of(app)
-            assert "nothing may move" in text_of(app)
-            await press(pilot, "w")
-            assert "worst first" in text_of(app)
-            await press(pilot, "q")
-            assert "worst AP_p, mm" in text_of(app)
+    async def look(app: Stage, pilot: Press) -> None:
+        assert "worst AP_p, mm" in text_of(app)
+        assert "nothing may move" in text_of(app)
+        await press(pilot, "w")
+        assert "worst first" in text_of(app)
+        await press(pilot, "q")
+        assert "worst AP_p, mm" in text_of(app)
 
-    asyncio.run(look())
+    run_app(look, update=RunUpdate(story.records), size=(80, 24))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -22,13 +20,21 @@ from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary, StartScreen
 from hilcell.tui.session import RunUpdate
 from tests.hilcell.tui.all_screens import COMPARISON, PLAN, SHOWN, isolated, screens_of
-from tests.hilcell.tui.recording_app import SIZE, RecordingApp, options, press, settle, text_of
+from tests.hilcell.tui.recording_app import (
+    SIZE,
+    Press,
+    Stage,
+    on_screen,
+    press,
+    run_app,
+    settle,
+    text_of,
+)
 from tests.hilcell.tui.sample_runs import fresh, status
 from tests.hilcell.tui.untrusted_text import MARK, NASTY, dangerous, poisoned, runs
 
 __all__ = ["isolated"]
 
-RUNS = Path("/runs")
 # Together, so that few walks meet them all: each is alone in the tests of rows and boxes.
 MARKUP, ESCAPES, MARKS, LETTERS = (
     "".join(NASTY[name] for name in names)
@@ -86,103 +92,79 @@ def _poison(value: Any, text: str) -> Any:
 def test_every_screen_shows_hostile_words_and_does_nothing_by_them(
     state: str, text: str, ascii_only: bool
 ) -> None:
-    async def run_app() -> dict[str, str]:
-        app = RecordingApp(options(RUNS, ascii_only=ascii_only), state, poisoned(state, text))
-        async with app.run_test(size=SIZE) as pilot:
-            seen = await screens_of(app, pilot)
-            assert app.is_running
-        assert (app.recorded.stops, app.engines) == (0, [])
-        assert {command for command, _ in app.recorded.asked} <= {"answer"}
-        return seen
+    async def look(app: Stage, pilot: Press) -> None:
+        for name, shown in (await screens_of(app, pilot)).items():
+            assert not dangerous(shown), f"{name}: {dangerous(shown)!r}\n{shown}"
+            assert shown.isascii() or not ascii_only, f"{name}\n{shown}"
+        assert app.is_running
 
-    for name, shown in asyncio.run(run_app()).items():
-        assert not dangerous(shown), f"{name}: {dangerous(shown)!r}\n{shown}"
-        assert shown.isascii() or not ascii_only, f"{name}\n{shown}"
+    update = poisoned(state, text)
+    app = run_app(look, state, update=update, size=SIZE, ascii_only=ascii_only)
+    assert (app.recorded.stops, app.engines) == (0, [])
+    assert {command for command, _ in app.recorded.asked} <= {"answer"}
 
 
 @pytest.mark.parametrize("text", [MARKUP, ESCAPES, MARKS, LETTERS])
 def test_what_a_prompt_needs_stays_in_sight(text: str) -> None:
-    async def run_app() -> str:
-        app = RecordingApp(options(RUNS), "suspended", poisoned("suspended", text))
-        async with app.run_test(size=SIZE) as pilot:
-            await settle(pilot)
-            return text_of(app)
+    async def look(app: Stage, pilot: Press) -> None:
+        shown = text_of(app)
+        for words in (
+            "off its place, mm", "● reflector visible", " Enter ", "? NEEDS OPERATOR", "Esc STOP",
+        ):  # fmt: skip
+            assert words in shown, shown
+        box = [line for line in shown.splitlines() if line.startswith(("▌┌", "▌│", "▌└"))]
+        assert [cell_len(line) for line in box] == [SIZE[0]] * len(box)
 
-    shown = asyncio.run(run_app())
-    for words in (
-        "off its place, mm",
-        "● reflector visible",
-        " Enter ",
-        "? NEEDS OPERATOR",
-        "Esc STOP",
-    ):
-        assert words in shown, shown
-    box = [line for line in shown.splitlines() if line.startswith(("▌┌", "▌│", "▌└"))]
-    assert [cell_len(line) for line in box] == [SIZE[0]] * len(box)
+    run_app(look, "suspended", update=poisoned("suspended", text), size=SIZE)
 
 
 @pytest.mark.parametrize("text", [NASTY["closing markup"]])
 def test_markup_is_shown_as_it_was_written(text: str) -> None:
-    async def run_app() -> dict[str, str]:
-        app = RecordingApp(options(RUNS), "done", poisoned("done", text))
-        seen = {}
-        async with app.run_test(size=(240, 40)) as pilot:
+    async def look(app: Stage, pilot: Press) -> None:
+        for keys in ((), "l", "h", "o"):
+            await press(pilot, *keys)
+            assert text in text_of(app), text_of(app)
+            await press(pilot, "q")
+
+    run_app(look, "done", update=poisoned("done", text), size=(240, 40))
+
+
+@on_screen("running", size=SIZE)
+async def test_hostile_words_may_be_pasted_into_every_filter(app: Stage, pilot: Press) -> None:
+    for keys in (("slash",), ("l", "slash"), ("h", "slash"), ("ctrl+p",)):
+        await press(pilot, *keys)
+        for text in PASTED:
+            app.screen.query_one(Input).value = ""
+            app.post_message(Paste(text))
             await settle(pilot)
-            for name, keys in (("run", ()), ("log", ("l",)), ("history", ("h",)), ("report", "o")):
-                await press(pilot, *keys)
-                seen[name] = text_of(app)
-                await press(pilot, "q")
-        return seen
-
-    for shown in asyncio.run(run_app()).values():
-        assert text in shown, shown
+            assert not dangerous(text_of(app)), text_of(app)
+        if not isinstance(app.screen, RunScreen):
+            app.pop_screen()
+    assert (app.recorded.stops, app.recorded.asked) == (0, [])
 
 
-def test_hostile_words_may_be_pasted_into_every_filter() -> None:
-    async def run_app() -> None:
-        app = RecordingApp(options(RUNS), "running")
-        async with app.run_test(size=SIZE) as pilot:
-            await settle(pilot)
-            for keys in (("slash",), ("l", "slash"), ("h", "slash"), ("ctrl+p",)):
-                await press(pilot, *keys)
-                for text in PASTED:
-                    app.screen.query_one(Input).value = ""
-                    app.post_message(Paste(text))
-                    await settle(pilot)
-                    assert not dangerous(text_of(app)), text_of(app)
-                if not isinstance(app.screen, RunScreen):
-                    app.pop_screen()
-        assert (app.recorded.stops, app.recorded.asked) == (0, [])
+@on_screen(size=SIZE)
+async def test_hostile_words_may_be_pasted_into_the_form(app: Stage, pilot: Press) -> None:
+    async def paste(name: str, text: str) -> None:
+        box = app.screen.query_one(f"#{name}", Input)
+        box.value = ""
+        box.focus()
+        app.post_message(Paste(text))
+        await settle(pilot)
 
-    asyncio.run(run_app())
-
-
-def test_hostile_words_may_be_pasted_into_the_form() -> None:
-    async def run_app() -> None:
-        app = RecordingApp(options(RUNS))
-        async with app.run_test(size=SIZE) as pilot:
-            await settle(pilot)
-            for text in PASTED:
-                for name in ("cell", "operator", "job"):
-                    app.screen.query_one(f"#{name}", Input).value = ""
-                    app.screen.query_one(f"#{name}", Input).focus()
-                    app.post_message(Paste(text))
-                    await settle(pilot)
-                assert not dangerous(text_of(app)), text_of(app)
-                await press(pilot, "enter")
-                assert isinstance(app.screen, PlanSummary)
-                assert not dangerous(text_of(app)), text_of(app)
-                await press(pilot, "q")
-                seed = app.screen.query_one("#seed", Input)
-                seed.value = ""
-                seed.focus()
-                app.post_message(Paste(text))
-                await press(pilot, "enter")  # no whole number: no plan, and no question
-                assert isinstance(app.screen, StartScreen)
-                assert not dangerous(text_of(app)), text_of(app)
-                seed.value = "1"
-
-    asyncio.run(run_app())
+    for text in PASTED:
+        for name in ("cell", "operator", "job"):
+            await paste(name, text)
+        assert not dangerous(text_of(app)), text_of(app)
+        await press(pilot, "enter")
+        assert isinstance(app.screen, PlanSummary)
+        assert not dangerous(text_of(app)), text_of(app)
+        await press(pilot, "q")
+        await paste("seed", text)
+        await press(pilot, "enter")  # no whole number: no plan, and no question
+        assert isinstance(app.screen, StartScreen)
+        assert not dangerous(text_of(app)), text_of(app)
+        app.screen.query_one("#seed", Input).value = "1"
 
 
 @pytest.mark.parametrize("text", [NASTY["clearing"]])
@@ -190,26 +172,17 @@ def test_refusals_are_cleaned(text: str, monkeypatch: pytest.MonkeyPatch) -> Non
     async def refuse(*_: object) -> str:
         raise HilcellError(f"refused: {text}")
 
+    async def look(app: Stage, pilot: Press) -> None:
+        for keys in (("o",), ("h", "x", "down", "x", "c")) if app.story else (("enter",),):
+            await press(pilot, *keys)
+            assert "refused:" in text_of(app)
+            assert not dangerous(text_of(app)), text_of(app)
+            await press(pilot, "q")
+
     monkeypatch.setattr(process, "run_command", refuse)
     monkeypatch.setattr(process, "dry_run", refuse)
-
-    async def run_app() -> None:
-        app = RecordingApp(options(RUNS), "done")
-        async with app.run_test(size=SIZE) as pilot:
-            await settle(pilot)
-            for keys in (("o",), ("h", "x", "down", "x", "c")):
-                await press(pilot, *keys)
-                assert "refused:" in text_of(app)
-                assert not dangerous(text_of(app)), text_of(app)
-                await press(pilot, "q")
-        form = RecordingApp(options(RUNS))
-        async with form.run_test(size=SIZE) as pilot:
-            await settle(pilot)
-            await press(pilot, "enter")
-            assert "refused:" in text_of(form)
-            assert not dangerous(text_of(form)), text_of(form)
-
-    asyncio.run(run_app())
+    for state in ("done", ""):
+        run_app(look, state, size=SIZE)
 
 
 @pytest.mark.parametrize("part", ["cell", "point", "no plan"])
@@ -227,32 +200,23 @@ def test_a_journal_of_another_version_is_refused_and_nothing_breaks(part: str) -
         msgspec.structs.replace(r, body=bodies[r.seq]) for r in found.records if r.seq in bodies
     ]
 
-    async def run_app() -> str:
-        app = RecordingApp(options(RUNS), update=RunUpdate(records))
-        async with app.run_test(size=SIZE) as pilot:
-            await settle(pilot)
-            await press(pilot, "e", "q", "w", "b", "enter", "question_mark", "q")
-            app.show_notice(app.recorded.view.trouble)
-            await settle(pilot)
-            return text_of(app)
+    async def look(app: Stage, pilot: Press) -> None:
+        await press(pilot, "e", "q", "w", "b", "enter", "question_mark", "q")
+        app.show_notice(app.recorded.view.trouble)
+        await settle(pilot)
+        assert "version of hilcell" in text_of(app)
+        assert not dangerous(text_of(app))
 
-    shown = asyncio.run(run_app())
-    assert "version of hilcell" in shown
-    assert not dangerous(shown)
+    run_app(look, update=RunUpdate(records), size=SIZE)
 
 
 @pytest.mark.parametrize("state", ["checking", "suspended"])
 def test_an_engine_whose_journal_cannot_be_read_yet_breaks_nothing(state: str) -> None:
-    async def run_app() -> str:
-        app = RecordingApp(
-            options(RUNS), update=RunUpdate([], engine=EngineState.ANSWERING, status=status(state))
-        )
-        async with app.run_test(size=SIZE) as pilot:
-            await settle(pilot)
-            for page in ("e", "i", "l", "p", "question_mark"):
-                await press(pilot, page)
-            await press(pilot, "q", "w", "b", "enter", "r", "space")
-            await press(pilot, "escape")
-            return text_of(app)
+    async def look(app: Stage, pilot: Press) -> None:
+        for page in ("e", "i", "l", "p", "question_mark"):
+            await press(pilot, page)
+        await press(pilot, "q", "w", "b", "enter", "r", "space")
+        await press(pilot, "escape")
+        assert "STOP sent" in text_of(app)
 
-    assert "STOP sent" in asyncio.run(run_app())
+    run_app(look, update=RunUpdate([], EngineState.ANSWERING, status(state)), size=SIZE)
