@@ -51,9 +51,9 @@ def combined_mm(contributions: Iterable[Contribution]) -> float:
     return math.sqrt(sum(each.u_mm**2 for each in contributions))
 
 
-def expanded_mm(u_mm: float, k: float = COVERAGE_FACTOR) -> float:
+def expanded_mm(u_mm: float) -> float:
     """Expanded uncertainty U = k u (GUM 6.2.1)."""
-    return k * u_mm
+    return COVERAGE_FACTOR * u_mm
 
 
 def thermal_limit_mm(length_mm: float, expansion_per_k: float, range_k: float) -> float:

@@ -34,7 +34,6 @@ from hilcell.model.point import PointId
 from tests.hilcell.calibration.calibrations import LOW_MM, REPEATABILITY_MM, T_W_B, calibration
 from tests.hilcell.report.journals import Writer
 
-GOLDEN = Path(__file__).parent / "golden" / "calibration.json"
 TARGETS = np.array([pose_from_zyx(0, 0, 1200, 0, 75, 0), pose_from_zyx(50, 60, 1250, 0, 75, 0)])
 
 
@@ -171,13 +170,6 @@ def test_standard_uncertainty_of_one_coordinate(
 ) -> None:
     found_mm = line(estimate_mm, distribution).u_mm
     assert found_mm == pytest.approx(u_mm, abs=5e-8)
-
-
-def test_combined_and_expanded() -> None:
-    u_mm = combined_mm([line(0.03, "normal"), line(0.04, "normal")])
-    assert u_mm == pytest.approx(0.05)
-    assert expanded_mm(u_mm) == pytest.approx(0.10)
-    assert expanded_mm(u_mm, 3.0) == pytest.approx(0.15)
 
 
 def test_a_whole_budget_by_hand() -> None:

@@ -205,11 +205,6 @@ def test_a_figure_that_is_none_holds_nothing() -> None:
     assert scatter(0, share=float("nan")) is not None
 
 
-@pytest.fixture
-def log(golden: GoldenRuns) -> Log:
-    return Log(read_journal(golden["small"].folder / JOURNAL))
-
-
 def stating(log: Log, rp_mm: float | None) -> Log:
     cell = {**log.inputs.cell, "robot": {**log.inputs.cell["robot"], "rp_mm": rp_mm}}
     log.plan = msgspec.structs.replace(log.inputs, cell=cell)

@@ -23,19 +23,11 @@ from hilcell.calibration.lost_motion import (
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import inverse, pose_from_zyx
 from hilcell.geometry.kinematics import forward
-from hilcell.journal.journal import read_journal
 from hilcell.journal.log import Log, commanded_rad
-from hilcell.journal.runs import JOURNAL
 from hilcell.model.verdicts import LostMotionJudged
 from hilcell.ports import Array
-from tests.whole.golden import GoldenRuns
 
 NATURAL_URAD = 60.0  # at most, of the simulated machines' gears
-
-
-@pytest.fixture
-def log(golden: GoldenRuns) -> Log:
-    return Log(read_journal(golden["small"].folder / JOURNAL))
 
 
 def with_lost(log: Log, lost_urad: Array) -> Log:

@@ -11,12 +11,9 @@ import pytest
 from hilcell.calibration.diagnosis import mount_offset
 from hilcell.calibration.position_errors import position_errors
 from hilcell.geometry.kinematics import forward
-from hilcell.journal.journal import read_journal
 from hilcell.journal.log import Log, commanded_rad
-from hilcell.journal.runs import JOURNAL
 from hilcell.model.frame import MeasuredBase
 from hilcell.ports import Array
-from tests.whole.golden import GoldenRuns
 
 SIDEWAYS = np.array([0.0, 1.0, 0.0])  # in the tool's frame: what a turn of {B} about z looks like
 COARSE = {"tracker_limit_mm": 0.3, "tracker_limit_um_m": 2.5}  # as the manual has a total station
@@ -27,24 +24,19 @@ SIGMA_MM = 2.82  # sideways: the mount's own 1, and what six points on a circle 
 
 
 @pytest.fixture
-def fine(golden: GoldenRuns) -> Log:
-    return Log(read_journal(golden["small"].folder / JOURNAL))
-
-
-@pytest.fixture
-def coarse(fine: Log) -> Log:
+def coarse(log: Log) -> Log:
     """The same run, had its readings been a total station's."""
-    for point in [*fine.points.values()]:
+    for point in [*log.points.values()]:
         range_mm = float(np.linalg.norm(point.xyz_mm))
         along = np.array(point.xyz_mm) / range_mm
         across_mm = COARSE_UM_M * 1e-6 * range_mm
         std_mm = np.sqrt((COARSE_MM * along) ** 2 + across_mm**2 * (1.0 - along**2))
         seen: Any = std_mm.tolist()
-        fine.points[point.key] = msgspec.structs.replace(point, std_mm=seen, samples=SAMPLES)
-    table: dict[str, Any] = fine.inputs.cell
+        log.points[point.key] = msgspec.structs.replace(point, std_mm=seen, samples=SAMPLES)
+    table: dict[str, Any] = log.inputs.cell
     cell = table | {"uncertainty": table.get("uncertainty", {}) | COARSE}
-    fine.plan = msgspec.structs.replace(fine.inputs, cell=cell)
-    return fine
+    log.plan = msgspec.structs.replace(log.inputs, cell=cell)
+    return log
 
 
 def off(log: Log, in_tool_mm: Array) -> Log:
@@ -86,15 +78,15 @@ def test_only_the_direction_that_is_seen_badly_has_a_wider_limit(coarse: Log, ax
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_a_fine_instrument_has_the_limit_of_the_robot_and_its_mount(fine: Log, axis: int) -> None:
-    assert mount_offset(off(fine, 3.1 * np.eye(3)[axis])) is not None
-    assert mount_offset(off(fine, 2.99 * np.eye(3)[axis])) is None
+def test_a_fine_instrument_has_the_limit_of_the_robot_and_its_mount(log: Log, axis: int) -> None:
+    assert mount_offset(off(log, 3.1 * np.eye(3)[axis])) is not None
+    assert mount_offset(off(log, 2.99 * np.eye(3)[axis])) is None
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_the_circle_of_axis_6_shows_a_radius_that_is_not_stated(fine: Log, sign: float) -> None:
-    found = mount_offset(wide(fine, 2.01 * sign))
+def test_the_circle_of_axis_6_shows_a_radius_that_is_not_stated(log: Log, sign: float) -> None:
+    found = mount_offset(wide(log, 2.01 * sign))
     assert found is not None
     assert found.size == pytest.approx(2.01)
     assert found.noticed_by == "circle of axis 6"
-    assert mount_offset(wide(fine, 1.99 * sign)) is None
+    assert mount_offset(wide(log, 1.99 * sign)) is None

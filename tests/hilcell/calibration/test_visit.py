@@ -26,13 +26,10 @@ from hilcell.calibration.position_errors import block_diagonal, scatter_besides,
 from hilcell.cell.settings import SettingsError
 from hilcell.geometry.frames import apply, inverse, motion_levers, pose_from_zyx, zyx_from_pose
 from hilcell.geometry.statistics import BeamNoise
-from hilcell.journal.journal import read_journal
 from hilcell.journal.log import Log, positions_mm
-from hilcell.journal.runs import JOURNAL
 from hilcell.model.point import Point
 from hilcell.ports import Array
 from tests.hilcell.calibration.calibrations import T_W_B, calibration
-from tests.whole.golden import GoldenRuns
 
 TARGET = np.array([[0.0, 0.0, 1200.0, 0.0, 75.0, 0.0]])
 
@@ -125,11 +122,6 @@ def test_differences_are_independent() -> None:
     assert np.array_equal(found[:3, :3], blocks[0])
     assert np.array_equal(found[3:, 3:], blocks[1])
     assert not found[:3, 3:].any()
-
-
-@pytest.fixture
-def log(golden: GoldenRuns) -> Log:
-    return Log(read_journal(golden["small"].folder / JOURNAL))
 
 
 def by_a_total_station(log: Log, seed: int) -> Log:

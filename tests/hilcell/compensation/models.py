@@ -3,12 +3,16 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hilcell.cell.file import load_cell
 from hilcell.compensation.grid import Grid, MeasuredGrid
 from hilcell.compensation.interpolation import Interpolation
 from hilcell.compensation.model import Measured, StaticPoses
+from hilcell.geometry.frames import matrix
 from hilcell.geometry.kinematics import Array
 
 Kind = type[Interpolation]
+ORIENTED = load_cell("paper").grid.centre.matrix()
+GRID = Grid(ORIENTED[:3, 3] - 400.0, 400.0, (3, 3, 3))  # about the cell's, in {B}
 NO_POSES = StaticPoses.of(
     np.zeros((0, 6)), np.zeros((0, 4, 4)), np.zeros((0, 3)), np.zeros((0, 3, 3))
 )
@@ -41,3 +45,13 @@ def exact(model: Kind, grid: Grid, errors_mm: ArrayLike) -> Interpolation:
 def predicted_mm(model: Kind, grid: Grid, errors_mm: ArrayLike, targets_mm: ArrayLike) -> Array:
     """Return the errors (N, 3) that a model of a grid predicts at targets (N, 3)."""
     return exact(model, grid, errors_mm).predict(level(targets_mm)).error_mm
+
+
+def poses_at(points_mm: Array) -> Array:
+    """Return poses (N, 4, 4) at points (N, 3), oriented as the cell's grid."""
+    return matrix(ORIENTED[:3, :3], points_mm)
+
+
+def drawn_mm(seed: int, count: int) -> Array:
+    """Return random points (N, 3) within `GRID`."""
+    return ORIENTED[:3, 3] + np.random.default_rng(seed).uniform(-400.0, 400.0, (count, 3))

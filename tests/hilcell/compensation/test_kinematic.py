@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from hilcell.cell.file import load_cell
-from hilcell.compensation.grid import Grid
 from hilcell.compensation.kinematic import Kinematic, _excess, _identified, curves_used
 from hilcell.compensation.model import Measured, MeasuredArm, ModelError, StaticPoses
 from hilcell.compensation.model_choice import MODELS, Nominal, choose, chosen
@@ -17,26 +16,14 @@ from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import Figures, lengths_mm
 from hilcell.identification.kinematics import Kinematics, State, TransmissionCurve
 from hilcell.identification.measured_poses import IdentificationError, Readings
-from tests.hilcell.compensation.models import lattice
+from tests.hilcell.compensation.models import GRID, drawn_mm, lattice, poses_at
 
 CELL = load_cell("paper")
 ROBOT = CELL.robot.nominal()
-ORIENTED = CELL.grid.centre.matrix()
-GRID = Grid(ORIENTED[:3, 3] - 400.0, 400.0, (3, 3, 3))
 WAVES = TransmissionCurve(
     0, np.array([33.0, 160.0]), np.array([[40e-6, -30e-6], [25e-6, 35e-6]]), 9e-12 * np.eye(4),
     0.0, 1e-3, -np.pi, np.pi, 1e-6,
 )  # fmt: skip
-
-
-def poses_at(points_mm: Array) -> Array:
-    poses = np.tile(ORIENTED, (len(points_mm), 1, 1))
-    poses[:, :3, 3] = points_mm
-    return poses
-
-
-def drawn_mm(seed: int, count: int) -> Array:
-    return ORIENTED[:3, 3] + np.random.default_rng(seed).uniform(-400.0, 400.0, (count, 3))
 
 
 def truth(points_mm: Array, noise_mm: float = 0.0, *, errors: bool = True) -> tuple[Array, Array]:

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from hilcell.cell.file import load_cell
 from hilcell.compensation.correction import corrected, corrected_poses
-from hilcell.compensation.grid import Grid
 from hilcell.compensation.kinematic import Kinematic, seats_mm
 from hilcell.compensation.model import (
     Measured,
@@ -25,24 +24,14 @@ from hilcell.geometry.frames import from_rotvec, matrix, orientations, to_rotvec
 from hilcell.geometry.kinematics import Arm, Array, forward
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.identification.measured_poses import Readings
-from tests.hilcell.compensation.models import lattice
+from tests.hilcell.compensation.models import GRID, ORIENTED, drawn_mm, lattice, poses_at
 
 SEATS = {"robot.more_smr_mm": "[[-40.0, 110.0, 127.0], [-40.0, -110.0, 127.0]]"}
 CELL = load_cell("paper", SEATS)
 ROBOT, NOMINAL_MM = CELL.robot.nominal(), CELL.robot.seats_mm
-ORIENTED = CELL.grid.centre.matrix()
-GRID = Grid(ORIENTED[:3, 3] - 400.0, 400.0, (3, 3, 3))
 MOUNTED_MM = NOMINAL_MM + np.array([[0.3, -0.2, 0.1], [-6.0, 3.0, -5.0], [6.0, 2.0, 4.0]])
 NOISE_MM = 0.01
 seeds = st.integers(0, 2**32 - 1)
-
-
-def poses_at(points_mm: Array) -> Array:
-    return matrix(ORIENTED[:3, :3], points_mm)
-
-
-def drawn_mm(seed: int, count: int) -> Array:
-    return ORIENTED[:3, 3] + np.random.default_rng(seed).uniform(-400.0, 400.0, (count, 3))
 
 
 def crooked(seed: int) -> Arm:
