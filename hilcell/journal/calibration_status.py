@@ -67,8 +67,8 @@ def statuses(rows: Iterable[RunRow]) -> dict[str, CalibrationStatus]:
     A run whose journal cannot be read has one as well: it may have made a calibration.
     """
     rows = list(rows)
-    known, copies = _runs(rows)
-    cells = {name: _cell(row, known) for name, row in known.items()}
+    runs = _Runs(rows)
+    known, cells = runs.known, {name: runs.cell(row) for name, row in runs.known.items()}
     calibrated = {cells[name] for name, row in known.items() if row.calibrates}
     ordered = sorted(in_order(known.values()), key=lambda row: cells[row.name])
     repeats = (row for row in rows if row.replayed and row.finished and row.facts.kind)
@@ -79,14 +79,9 @@ def statuses(rows: Iterable[RunRow]) -> dict[str, CalibrationStatus]:
     for cell, of_cell in groupby(ordered, key=lambda row: cells[row.name]):
         several = sum(other[:-1] == cell[:-1] for other in calibrated) > 1
         machine = cell[-1] if several else ""
-        rows_of_cell = list(of_cell)
-        doubts = {
-            row.name: next(filter(None, (each.facts.doubt for each in _origins(row, known))), "")
-            for row in rows_of_cell
-        }
-        status = _of_cell(rows_of_cell, doubts)
+        status = _CellRuns(list(of_cell), runs).statuses()
         found |= {name: replace(each, machine=machine) for name, each in status.items()}
-    for name, original in copies.items():
+    for name, original in runs.copies.items():
         if known[original].calibrates:
             current = found[original].current
             found[name] = CalibrationStatus("copy", "", f"the run is {original}", current)
@@ -98,13 +93,13 @@ def current_of(
 ) -> str:
     """Return the run of a cell's current calibration, for a simulated one of a machine; else ""."""
     rows = list(rows)
-    known, _ = _runs(rows)
+    runs = _Runs(rows)
     wanted = (cell, serial, str(simulated), _simulated(machine_seed) if simulated else "")
     return next(
         (
             name
             for name, status in statuses(rows).items()
-            if status.current == name and _cell(known[name], known) == wanted
+            if status.current == name and runs.cell(runs.known[name]) == wanted
         ),
         "",
     )
@@ -112,125 +107,133 @@ def current_of(
 
 def measured_by(rows: Iterable[RunRow], name: str) -> str:
     """Return the run that measured the calibration which the run ``name`` has changed, or made."""
-    known, copies = _runs(rows)
-    name = copies.get(name, name)
-    return _origins(known[name], known)[-1].name
+    runs = _Runs(rows)
+    return runs.origins(runs.known[runs.copies.get(name, name)])[-1].name
 
 
-def _runs(rows: Iterable[RunRow]) -> tuple[dict[str, RunRow], dict[str, str]]:
-    """Return the runs that measured by their names, and by the names of copies what they are of.
+class _Runs:
+    """The runs that measured, by their names.
 
     Of folders with one beginning the run is the one that went on, which others name, or the first.
     """
-    rows = [row for row in rows if row.readable and not row.replayed]
-    named = {name for row in rows for name in (row.facts.used, row.order.after)}
-    rows.sort(key=lambda row: (-row.order.number, row.name not in named, row.name))
-    known: dict[str, RunRow] = {}
-    copies, originals = {}, dict[str, str]()
-    for row in rows:
-        original = originals.setdefault(row.origin or row.name, row.name)
-        if original == row.name:
-            known[row.name] = row
-            continue
-        copies[row.name] = original
-        run = known[original]
-        if row.facts.revoked and not run.facts.revoked:
-            facts = replace_struct(run.facts, revoked=row.facts.revoked)
-            known[original] = replace_struct(run, facts=facts)
-    return known, copies
 
+    def __init__(self, rows: Iterable[RunRow]) -> None:
+        rows = [row for row in rows if row.readable and not row.replayed]
+        named = {name for row in rows for name in (row.facts.used, row.order.after)}
+        rows.sort(key=lambda row: (-row.order.number, row.name not in named, row.name))
+        self.known: dict[str, RunRow] = {}
+        self.copies: dict[str, str] = {}  # by the names of copies, what they are of
+        originals = dict[str, str]()
+        for row in rows:
+            original = originals.setdefault(row.origin or row.name, row.name)
+            if original == row.name:
+                self.known[row.name] = row
+                continue
+            self.copies[row.name] = original
+            run = self.known[original]
+            if row.facts.revoked and not run.facts.revoked:
+                facts = replace_struct(run.facts, revoked=row.facts.revoked)
+                self.known[original] = replace_struct(run, facts=facts)
 
-def _cell(row: RunRow, known: Mapping[str, RunRow]) -> tuple[str, ...]:
-    """Return the identity of a run's cell; last is the simulated machine, "" for a real one.
+    def cell(self, row: RunRow) -> tuple[str, ...]:
+        """Return the identity of a run's cell; last is the simulated machine, "" for a real one.
 
-    A run that uses a calibration counts for the machine of that.
-    """
-    first = _origins(row, known)[-1]
-    machine = _simulated(first.machine_seed) if first.simulated else ""
-    return row.cell, row.serial, str(row.simulated), machine
+        A run that uses a calibration counts for the machine of that.
+        """
+        first = self.origins(row)[-1]
+        machine = _simulated(first.machine_seed) if first.simulated else ""
+        return row.cell, row.serial, str(row.simulated), machine
 
+    def origins(self, row: RunRow) -> list[RunRow]:
+        """Return a run, the run whose calibration it used, and so on."""
+        found = [row]
+        while (used := self.known.get(found[-1].facts.used)) is not None and used not in found:
+            found.append(used)
+        return found
 
-def _origins(row: RunRow, known: Mapping[str, RunRow]) -> list[RunRow]:
-    """Return a run, the run whose calibration it used, and so on."""
-    found = [row]
-    while (used := known.get(found[-1].facts.used)) is not None and used not in found:
-        found.append(used)
-    return found
+    def doubt(self, row: RunRow) -> str:
+        """Return the doubt of a run's calibration, or of one that it rests on, "" for none."""
+        return next(filter(None, (each.facts.doubt for each in self.origins(row))), "")
 
 
 def _simulated(seed: int | None) -> str:
     return "a simulator that ran before" if seed is None else f"simulated machine {seed}"
 
 
-def _of_cell(rows: list[RunRow], doubts: Mapping[str, str]) -> dict[str, CalibrationStatus]:
-    found: dict[str, CalibrationStatus] = {}
-    touches = {row.name: row.facts.used for row in rows if row.facts.kind == "touch"}
-    revoked = _revoked(rows)
-    current = ""
-    for row in (row for row in rows if row.calibrates):
-        made, used = row.facts.kind == "made", touches.get(row.facts.used, row.facts.used)
-        if made and not (row.facts.validated and _accepted(row, revoked)):
-            found[row.name] = _not_validated(row.facts)
-        elif not made and current and used != current:
-            found[row.name] = CalibrationStatus("superseded", current)
-        else:
-            doubt = doubts[row.name]
-            found[row.name] = CalibrationStatus("in doubt" if doubt else "current", "", doubt)
-            if not (row.facts.revoked or row.name in touches):
-                before = [name for name in found if found[name].state != "superseded"]
-                before.remove(row.name)
-                found |= dict.fromkeys(before, CalibrationStatus("superseded", row.name))
-                current = row.name
-    found |= _left(rows, found) | revoked
-    named = current if current and found[current].state == "current" else ""
-    calibrated = {row.name for row in rows if row.calibrates}
-    return {name: replace(found[name], current=named) for name in calibrated}
+@dataclass(frozen=True, slots=True)
+class _CellRuns:
+    """The runs of one cell in their order, of all ``runs``."""
 
+    rows: list[RunRow]
+    runs: _Runs
 
-def _accepted(row: RunRow, revoked: Mapping[str, CalibrationStatus]) -> bool:
-    """Whether a validated calibration counts.
+    def statuses(self) -> dict[str, CalibrationStatus]:
+        found: dict[str, CalibrationStatus] = {}
+        touches = {row.name: row.facts.used for row in self.rows if row.facts.kind == "touch"}
+        revoked = self._revoked()
+        current = ""
+        for row in (row for row in self.rows if row.calibrates):
+            made, used = row.facts.kind == "made", touches.get(row.facts.used, row.facts.used)
+            if made and not (row.facts.validated and self._accepted(row, revoked)):
+                found[row.name] = self._not_validated(row.facts)
+            elif not made and current and used != current:
+                found[row.name] = CalibrationStatus("superseded", current)
+            else:
+                doubt = self.runs.doubt(row)
+                found[row.name] = CalibrationStatus("in doubt" if doubt else "current", "", doubt)
+                if not (row.facts.revoked or row.name in touches):
+                    before = [name for name in found if found[name].state != "superseded"]
+                    before.remove(row.name)
+                    found |= dict.fromkeys(before, CalibrationStatus("superseded", row.name))
+                    current = row.name
+        found |= self._left(found) | revoked
+        named = current if current and found[current].state == "current" else ""
+        calibrated = {row.name for row in self.rows if row.calibrates}
+        return {name: replace(found[name], current=named) for name in calibrated}
 
-    One that differs from the calibration before it counts once that one is revoked by an operator.
-    """
-    return row.exit == 0 or row.facts.changed_since in revoked
+    @staticmethod
+    def _accepted(row: RunRow, revoked: Mapping[str, CalibrationStatus]) -> bool:
+        """Whether a validated calibration counts.
 
+        One that differs from the calibration before it counts once an operator has revoked that.
+        """
+        return row.exit == 0 or row.facts.changed_since in revoked
 
-def _not_validated(facts: CalibrationFacts) -> CalibrationStatus:
-    if facts.outcome is Outcome.UNDECIDED:
-        return CalibrationStatus("undecided")
-    if not (facts.suspected and facts.validated):
-        return CalibrationStatus("not validated")
-    since = facts.changed_since
-    return CalibrationStatus(
-        "suspected", "", since and f"it differs from that of {since}; revoke the wrong one"
-    )
+    @staticmethod
+    def _not_validated(facts: CalibrationFacts) -> CalibrationStatus:
+        if facts.outcome is Outcome.UNDECIDED:
+            return CalibrationStatus("undecided")
+        if not (facts.suspected and facts.validated):
+            return CalibrationStatus("not validated")
+        since = facts.changed_since
+        return CalibrationStatus(
+            "suspected", "", since and f"it differs from that of {since}; revoke the wrong one"
+        )
 
+    def _revoked(self) -> dict[str, CalibrationStatus]:
+        """Return those revoked by an operator or a re-check, and those derived from them later.
 
-def _revoked(rows: list[RunRow]) -> dict[str, CalibrationStatus]:
-    """Return those revoked by an operator or a re-check, and those derived from them afterwards.
+        An update made before the re-check of an older calibration is not revoked by it.
+        """
+        found: dict[str, CalibrationStatus] = {}
+        for row in self.rows:
+            facts = row.facts
+            if facts.revoked:
+                found[row.name] = CalibrationStatus("revoked", "", facts.revoked)
+            elif row.calibrates and facts.used in found:
+                why = f"it is based on one {found[facts.used].text}"
+                found[row.name] = CalibrationStatus("revoked", facts.used, why)
+            if facts.recheck == "redo" and row.finished and not facts.revoked:
+                redo = CalibrationStatus("revoked", row.name, "its re-check says redo")
+                found.setdefault(facts.used, redo)
+        return found
 
-    An update made before the re-check of an older calibration is not revoked by it.
-    """
-    found: dict[str, CalibrationStatus] = {}
-    for row in rows:
-        facts = row.facts
-        if facts.revoked:
-            found[row.name] = CalibrationStatus("revoked", "", facts.revoked)
-        elif row.calibrates and facts.used in found:
-            why = f"it is based on one {found[facts.used].text}"
-            found[row.name] = CalibrationStatus("revoked", facts.used, why)
-        if facts.recheck == "redo" and row.finished and not facts.revoked:
-            redo = CalibrationStatus("revoked", row.name, "its re-check says redo")
-            found.setdefault(facts.used, redo)
-    return found
-
-
-def _left(rows: list[RunRow], found: dict[str, CalibrationStatus]) -> dict[str, CalibrationStatus]:
-    """Return the touched bases that are out of date: a later run has moved the cell."""
-    left = {}
-    for number, row in enumerate(rows):
-        if row.name in found and row.facts.kind == "touch":
-            later = [each.name for each in rows[number + 1 :] if each.moved]
-            if later and found[row.name].state == "current":
-                left[row.name] = CalibrationStatus("out of date", later[0])
-    return left
+    def _left(self, found: dict[str, CalibrationStatus]) -> dict[str, CalibrationStatus]:
+        """Return the touched bases that are out of date: a later run has moved the cell."""
+        left = {}
+        for number, row in enumerate(self.rows):
+            if row.name in found and row.facts.kind == "touch":
+                later = [each.name for each in self.rows[number + 1 :] if each.moved]
+                if later and found[row.name].state == "current":
+                    left[row.name] = CalibrationStatus("out of date", later[0])
+        return left

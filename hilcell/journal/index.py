@@ -126,15 +126,26 @@ class RunRow(msgspec.Struct, frozen=True, kw_only=True):
             return "not begun"
         return f"{self.state}, engine gone" if self.gone else self.state
 
+    @property
+    def by_clock(self) -> tuple[str, str]:
+        """Return what orders runs of different folders: the clock, then the names."""
+        return self.session or self.begun, self.name
+
+    @property
+    def last_began(self) -> datetime:
+        """Return when the last session began."""
+        return datetime.fromisoformat(self.by_clock[0]).astimezone(UTC)
+
 
 def read_index(runs: Path) -> list[RunRow]:
     """Return all runs of a folder, newest first; raises `StorageError`."""
     stamps = _stamps(runs)
-    rows = _stored_rows(runs / NAME, stamps) if stamps else {}
+    index = _IndexFile(runs)
+    rows = index.rows(stamps) if stamps else {}
     missing = (name for name in stamps if name not in rows)
     # In batches: an interrupted first build is not lost.
     while batch := {name: row_of(runs / name) for name in islice(missing, 200)}:
-        _store(runs / NAME, batch, stamps)
+        index.store(batch, stamps)
         rows |= batch
     return in_order(rows.values())[::-1]
 
@@ -246,8 +257,8 @@ def in_order(rows: Iterable[RunRow]) -> list[RunRow]:
     for row in rows:
         folders[row.order.folder].append(row)
     for of_folder in folders.values():
-        of_folder.sort(key=lambda row: (row.order.number, _by_clock(row)))
-    return list(heapq.merge(*folders.values(), key=_by_clock))
+        of_folder.sort(key=lambda row: (row.order.number, row.by_clock))
+    return list(heapq.merge(*folders.values(), key=attrgetter("by_clock")))
 
 
 def next_order(rows: Iterable[RunRow]) -> FolderOrder:
@@ -268,14 +279,14 @@ def clock_notes(rows: Iterable[RunRow], now: datetime | None = None) -> Iterator
     latest: dict[str, RunRow] = {}
     for row in in_order(row for row in rows if row.order.folder):
         before = latest.setdefault(row.order.folder, row)
-        began, earlier = _began(row), _began(before)
+        began, earlier = row.last_began, before.last_began
         if earlier - began > step:
             yield _ran_back(before, earlier, f"run {row.name} began after it, at", began)
         elif began > earlier:
             latest[row.order.folder] = row
     for row in latest.values():
-        if now is not None and _began(row) - now > step:
-            yield _ran_back(row, _began(row), "now it is", now)
+        if now is not None and row.last_began - now > step:
+            yield _ran_back(row, row.last_began, "now it is", now)
 
 
 def _ran_back(before: RunRow, earlier: datetime, then: str, later: datetime) -> str:
@@ -288,14 +299,6 @@ def _ran_back(before: RunRow, earlier: datetime, then: str, later: datetime) -> 
 
 def _utc(moment: datetime) -> str:
     return f"{moment:%Y-%m-%dT%H:%M:%SZ}"
-
-
-def _by_clock(row: RunRow) -> tuple[str, str]:
-    return row.session or row.begun, row.name
-
-
-def _began(row: RunRow) -> datetime:
-    return datetime.fromisoformat(row.session or row.begun).astimezone(UTC)
 
 
 # -- a row from a journal --------------------------------------------------------------------------
@@ -433,48 +436,6 @@ def _written(folder: Path) -> str:
     return _utc(datetime.fromtimestamp(written_s, UTC))
 
 
-def _stored_rows(index: Path, stamps: dict[str, str]) -> dict[str, RunRow]:
-    """Return the rows whose journals are still the files that they were read from."""
-    rows: dict[str, RunRow] = {}
-    with _optional_index(index), closing(_opened(index)) as base:
-        # As bytes: damage is noticed by the seal.
-        parts = ", ".join(f"CAST({each} AS BLOB)" for each in ("name", "stamp", "row", "seal"))
-        stored = base.execute(f"SELECT {parts} FROM run").fetchall()  # noqa: S608 - no word is a user's
-        if any(seal != _seal(*sealed) for *sealed, seal in stored):
-            raise sqlite3.DatabaseError(f"{index}: a row is not the one that was stored")
-        texts = [(name.decode(), stamp.decode(), row) for name, stamp, row, _ in stored]
-        rows |= {
-            name: decoded(row, RunRow) for name, stamp, row in texts if stamp == stamps.get(name)
-        }
-        gone = [(name,) for name, _, _ in texts if name not in stamps]
-        if gone:
-            base.executemany("DELETE FROM run WHERE name = ?", gone)
-    return rows
-
-
-def _store(index: Path, rows: dict[str, RunRow], stamps: dict[str, str]) -> None:
-    """Store the rows of ended runs whose files are unchanged."""
-    encode = msgspec.json.encode
-    lasting = [
-        (name, stamps[name], encode(row))
-        for name, row in rows.items()
-        if stamps[name] and row.exit is not None and not row.live
-    ]
-    sealed = [(*each, _seal(each[0].encode(), each[1].encode(), each[2])) for each in lasting]
-    if sealed:
-        with _optional_index(index), closing(_opened(index)) as base:
-            base.execute("BEGIN IMMEDIATE")
-            base.executemany("INSERT OR REPLACE INTO run VALUES (?, ?, ?, ?)", sealed)
-            base.execute("COMMIT")
-
-
-def _seal(*parts: bytes | None) -> bytes:
-    """Return the digest that a row is stored with; a damaged page may hold None."""
-    return hashlib.sha256(
-        b"\0".join([str(SCHEMA).encode(), *(part or b"" for part in parts)])
-    ).digest()
-
-
 def own_file(file: Path) -> Path:
     """Return a file that may be overwritten; raises `sqlite3.DatabaseError` for a link."""
     with suppress(FileNotFoundError):
@@ -484,35 +445,83 @@ def own_file(file: Path) -> Path:
     return file
 
 
-def _opened(index: Path) -> sqlite3.Connection:
-    table = "CREATE TABLE run (name TEXT PRIMARY KEY, stamp TEXT, row BLOB, seal BLOB) STRICT"
-    definition = "SELECT sql FROM sqlite_master WHERE name = 'run'"
-    base = sqlite3.connect(own_file(index), timeout=BUSY_S, isolation_level=None)
-    try:
-        base.execute("PRAGMA synchronous=OFF")  # rebuilt after power loss
-        base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 2**20)  # bytes of a row
-        if base.execute("PRAGMA user_version").fetchone() != (SCHEMA,):
-            base.execute("BEGIN IMMEDIATE")
-            base.execute("DROP TABLE IF EXISTS run")
-            base.execute(table)
-            base.execute(f"PRAGMA user_version={SCHEMA}")
-            base.execute("COMMIT")
-        elif base.execute(definition).fetchone() != (table,):
-            raise sqlite3.DatabaseError(f"{index} is no index: a view may have no end")
-    except sqlite3.Error:
-        base.close()
-        raise
-    return base
+class _IndexFile:
+    """The index in the folder of runs; one that cannot be used has no rows and stores none."""
 
+    def __init__(self, runs: Path) -> None:
+        self._path = runs / NAME
 
-@contextmanager
-def _optional_index(index: Path) -> Iterator[None]:
-    """Ignore an index that is locked or cannot be written; delete a damaged one."""
-    try:
-        yield
-    except (sqlite3.Error, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT)
-        if code & 0xFF not in (*ACCESS_ERRORS, sqlite3.SQLITE_FULL):
-            for file in (index, index.with_name(f"{NAME}-journal")):
-                with suppress(OSError):
-                    file.unlink()
+    def rows(self, stamps: dict[str, str]) -> dict[str, RunRow]:
+        """Return the rows whose journals are still the files that they were read from."""
+        rows: dict[str, RunRow] = {}
+        with self._optional(), closing(self._connect()) as base:
+            # As bytes: damage is noticed by the seal.
+            parts = ", ".join(f"CAST({each} AS BLOB)" for each in ("name", "stamp", "row", "seal"))
+            stored = base.execute(f"SELECT {parts} FROM run").fetchall()  # noqa: S608 - no word is a user's
+            if any(seal != self._seal(*sealed) for *sealed, seal in stored):
+                raise sqlite3.DatabaseError(f"{self._path}: a row is not the one that was stored")
+            texts = [(name.decode(), stamp.decode(), row) for name, stamp, row, _ in stored]
+            rows |= {
+                name: decoded(row, RunRow)
+                for name, stamp, row in texts
+                if stamp == stamps.get(name)
+            }
+            gone = [(name,) for name, _, _ in texts if name not in stamps]
+            if gone:
+                base.executemany("DELETE FROM run WHERE name = ?", gone)
+        return rows
+
+    def store(self, rows: dict[str, RunRow], stamps: dict[str, str]) -> None:
+        """Store the rows of ended runs whose files are unchanged."""
+        encode = msgspec.json.encode
+        lasting = [
+            (name, stamps[name], encode(row))
+            for name, row in rows.items()
+            if stamps[name] and row.exit is not None and not row.live
+        ]
+        sealed = [
+            (*each, self._seal(each[0].encode(), each[1].encode(), each[2])) for each in lasting
+        ]
+        if sealed:
+            with self._optional(), closing(self._connect()) as base:
+                base.execute("BEGIN IMMEDIATE")
+                base.executemany("INSERT OR REPLACE INTO run VALUES (?, ?, ?, ?)", sealed)
+                base.execute("COMMIT")
+
+    @staticmethod
+    def _seal(*parts: bytes | None) -> bytes:
+        """Return the digest that a row is stored with; a damaged page may hold None."""
+        whole = b"\0".join([str(SCHEMA).encode(), *(part or b"" for part in parts)])
+        return hashlib.sha256(whole).digest()
+
+    @contextmanager
+    def _optional(self) -> Iterator[None]:
+        """Ignore an index that is locked or cannot be written; delete a damaged one."""
+        try:
+            yield
+        except (sqlite3.Error, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+            code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT)
+            if code & 0xFF not in (*ACCESS_ERRORS, sqlite3.SQLITE_FULL):
+                for file in (self._path, self._path.with_name(f"{NAME}-journal")):
+                    with suppress(OSError):
+                        file.unlink()
+
+    def _connect(self) -> sqlite3.Connection:
+        table = "CREATE TABLE run (name TEXT PRIMARY KEY, stamp TEXT, row BLOB, seal BLOB) STRICT"
+        definition = "SELECT sql FROM sqlite_master WHERE name = 'run'"
+        base = sqlite3.connect(own_file(self._path), timeout=BUSY_S, isolation_level=None)
+        try:
+            base.execute("PRAGMA synchronous=OFF")  # rebuilt after power loss
+            base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 2**20)  # bytes of a row
+            if base.execute("PRAGMA user_version").fetchone() != (SCHEMA,):
+                base.execute("BEGIN IMMEDIATE")
+                base.execute("DROP TABLE IF EXISTS run")
+                base.execute(table)
+                base.execute(f"PRAGMA user_version={SCHEMA}")
+                base.execute("COMMIT")
+            elif base.execute(definition).fetchone() != (table,):
+                raise sqlite3.DatabaseError(f"{self._path} is no index: a view may have no end")
+        except sqlite3.Error:
+            base.close()
+            raise
+        return base
