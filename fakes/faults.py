@@ -211,6 +211,10 @@ class Faults:
                 del self._armed[name]
             return armed.value
 
+    def strikes(self, name: str, *, moving: bool = True) -> bool:
+        """Whether the fault is injected on this occasion."""
+        return self.take(name, moving=moving) is not None
+
     def instead(self, name: str, usual: int) -> int:
         """Return the whole number of a fault that strikes, else the ``usual`` one."""
         value = self.take(name)
@@ -220,6 +224,10 @@ class Faults:
         """Return as `take`, as a number."""
         value = self.take(name)
         return None if value is None else float(value)
+
+    def amount(self, name: str) -> float:
+        """Return as `number`; 0 if it is not injected now."""
+        return self.number(name) or 0.0
 
 
 def load_faults(path: str) -> Faults:

@@ -55,14 +55,14 @@ class StripSensor:
             self.position = round(at_mm * self.COUNTS_PER_MM) + self._jitter
 
     def apply_faults(self) -> None:
-        self._jump_mm += self._faults.number("rail.strip_jump") or 0.0
-        self._frozen = self._faults.take("rail.strip_frozen") is not None
-        jitter = int(self._faults.number("rail.strip_jitter") or 0)
+        self._jump_mm += self._faults.amount("rail.strip_jump")
+        self._frozen = self._faults.strikes("rail.strip_frozen")
+        jitter = int(self._faults.amount("rail.strip_jitter"))
         self._dither.step()
         # The fault alternates: any two readings show both sides.
         alternate = -jitter if self._jitter > 0 else jitter
         self._jitter = alternate if jitter else self._dither.counts
-        self.missing = self._faults.take("rail.missing_magnet") is not None
+        self.missing = self._faults.strikes("rail.missing_magnet")
 
 
 class StripLine(Server):
@@ -96,7 +96,7 @@ class StripLine(Server):
             command, pending = pending[:size].upper(), pending[size:]
             with self._lock:
                 answer = self._answer(command)
-            if self._faults.take("rail.strip_silent") is None:
+            if not self._faults.strikes("rail.strip_silent"):
                 found.append(answer.encode("ascii") + b"\r")
         return found, pending
 
@@ -187,7 +187,7 @@ class StripBus(BusServer):
 
     def _receive(self, cob_id: int, data: bytes) -> None:
         of_node = (SYNC_COB_ID, 0x600 + STRIP_NODE)
-        if cob_id in of_node and self._faults.take("rail.strip_silent") is not None:
+        if cob_id in of_node and self._faults.strikes("rail.strip_silent"):
             return
         if cob_id == SYNC_COB_ID:
             self._strip.apply_faults()

@@ -121,7 +121,7 @@ class T2saDevice:
         return f"WARM, {left_s:.2f} seconds" if left_s > 0 else "LON"
 
     def _simulate(self, value: str) -> Answer:
-        if value != "0" or self._faults.take("tracker.t2sa_simulation") is not None:
+        if value != "0" or self._faults.strikes("tracker.t2sa_simulation"):
             return refusal(Refusal.NOT_SIMULATING)
         return Answer("ACK-300 Set 0")
 
@@ -139,7 +139,7 @@ class T2saDevice:
 
     def _point(self, path: str) -> Array | None:
         group, _, name = path.rpartition(";")
-        if group != self._group or self._faults.take("tracker.t2sa_renamed") is not None:
+        if group != self._group or self._faults.strikes("tracker.t2sa_renamed"):
             return None
         return self._points.get(name)
 
@@ -150,16 +150,16 @@ class T2saDevice:
         return Answer(self._result(path, self._to_units(at_mm)))
 
     def _measure(self, path: str) -> Answer:
-        take = self._faults.take
-        if take("tracker.vanish") is not None:
+        strikes = self._faults.strikes
+        if strikes("tracker.vanish"):
             raise Vanished
-        if take("tracker.busy") is not None:
+        if strikes("tracker.busy"):
             return refusal(Refusal.BUSY)
         code = self._faults.number("tracker.t2sa_code")
         if code is not None:
             words = dict(each.value for each in Refusal)
             return Answer(f"ERR-{int(code)} {words.get(int(code), 'Failed.')}")
-        if self._laser() != "LON" or take("tracker.not_warmed_up") is not None:
+        if self._laser() != "LON" or strikes("tracker.not_warmed_up"):
             return refusal(Refusal.NOT_READY)
         aim_mm = self._point(path)
         if aim_mm is None:
@@ -186,25 +186,25 @@ class T2saDevice:
         return off_mm, self._instrument.find(at_mm, 1e-3)
 
     def _measured(self, path: str, aim_mm: Array, name: str | None) -> Answer:
-        take = self._faults.take
+        strikes = self._faults.strikes
         lost = ("tracker.no_reflector", "tracker.beam_break_before", "tracker.beam_break_after")
-        if any(take(fault) is not None for fault in lost):
+        if any(strikes(fault) for fault in lost):
             return refusal(Refusal.NOT_MEASURED)
         found = None if name is None else self._instrument.measure(name)
         if found is None:
             return refusal(Refusal.NOT_MEASURED)
         xyz_mm = found.xyz_mm
-        if self._former_mm is not None and take("tracker.t2sa_old_result") is not None:
+        if self._former_mm is not None and strikes("tracker.t2sa_old_result"):
             xyz_mm = self._former_mm
         self._former_mm = xyz_mm
-        if take("tracker.t2sa_nominal") is not None:
+        if strikes("tracker.t2sa_nominal"):
             xyz_mm = aim_mm
-        text = take("tracker.bad_number")
+        text = self._faults.take("tracker.bad_number")
         line = self._result(path, self._to_units(xyz_mm), "" if text is None else str(text))
         return Answer(line, measured=True)
 
     def _to_units(self, xyz_mm: Array) -> Array:
-        inches = self._faults.take("tracker.t2sa_inches") is not None
+        inches = self._faults.strikes("tracker.t2sa_inches")
         mm_per_inch = 25.4
         return xyz_mm / mm_per_inch if inches else xyz_mm
 
@@ -365,9 +365,9 @@ class T2saServer(Server):
         if not answer.measured:
             session.say_late()
             session.say(reply)
-        elif self._faults.take("tracker.eof") is not None:
+        elif self._faults.strikes("tracker.eof"):
             raise ConnectionAbortedError
-        elif self._faults.take("tracker.no_result") is None:
+        elif not self._faults.strikes("tracker.no_result"):
             session.answer(reply, self._faults)
 
 

@@ -282,20 +282,20 @@ class Answers:
 
     def send(self, client: socket.socket, segments: Segments, answer: bytes) -> bool:
         """Send an answer; return whether the client stays connected."""
-        take = self._faults.take
-        if take("robot.idle_close") is not None:
+        strikes = self._faults.strikes
+        if strikes("robot.idle_close"):
             return False
-        if take("robot.half_open") is not None:
+        if strikes("robot.half_open"):
             client.settimeout(None)
             while client.recv(RECEIVE):  # no answer until the client has closed
                 pass
             return False
-        if take("robot.no_reply") is not None:
+        if strikes("robot.no_reply"):
             return True
         late_s = self._faults.number("robot.late_reply")
         if late_s is not None:
             self._closing.wait(late_s)
-        if take("robot.split_reply") is not None:
+        if strikes("robot.split_reply"):
             segments.send_in_two(answer, len(answer) // 2)
         else:
             segments.send(answer)
@@ -316,11 +316,11 @@ class LineSession:
 
     def answer(self, line: bytes, faults: Faults) -> None:
         """Send a line after the late ones; a fault delays it, too, or splits it."""
-        if faults.take("tracker.late_result") is not None:
+        if faults.strikes("tracker.late_result"):
             self.late.append(line)
             return
         self.say_late()
-        if faults.take("tracker.split_packet") is not None:
+        if faults.strikes("tracker.split_packet"):
             self._segments.send_in_two(line + b"\r\n", 5)
         else:
             self.say(line)

@@ -369,7 +369,7 @@ class RailDrive(CanopenSlave):
             self._start_homing()
 
     def _take_set_point(self) -> None:
-        if self._faults.take("rail.no_acknowledge") is not None:
+        if self._faults.strikes("rail.no_acknowledge"):
             return
         wanted = self.dictionary.number(0x607A)
         wanted += self._target if self._controlword & Control.RELATIVE else 0
@@ -377,7 +377,7 @@ class RailDrive(CanopenSlave):
         target = min(max(wanted, low), high) if self._homed else wanted
         self._limited = target != wanted
         self._acknowledged = True
-        self._early = self._faults.take("rail.early_target_reached") is not None
+        self._early = self._faults.strikes("rail.early_target_reached")
         self._overspeed = self._faults.number("rail.overspeed") or 1.0
         if self._busy and not self._controlword & Control.AT_ONCE:
             self._pending = target
@@ -553,7 +553,7 @@ class RailServer(BusServer):
         sdo_requests = (0x600 + NODE, 0x600 + STRIP_NODE)
         sdo_read = b"\x40"
         if cob_id == SYNC_COB_ID:
-            self._delay_s = self._faults.number("rail.late_tpdo") or 0.0
+            self._delay_s = self._faults.amount("rail.late_tpdo")
             if self._strip is not None:
                 self._strip.apply_faults()
             self._drive.dither()
@@ -584,14 +584,14 @@ class RailServer(BusServer):
         return None if value is None else usual if value is True else int(value)
 
     def _fault_reply(self, cob_id: int, data: bytes) -> bool:
-        if self._faults.take("rail.sdo_timeout") is not None:
+        if self._faults.strikes("rail.sdo_timeout"):
             return True
         code = self._number("rail.sdo_abort", Abort.DEVICE_STATE)
         if code is not None and len(data) == 8:
             _, index, sub = HEADER.unpack_from(data)
             self._transmit(cob_id - 0x80, abort_reply(index, sub, code))
             return True
-        self._delay_s = self._faults.number("rail.late_reply") or 0.0
+        self._delay_s = self._faults.amount("rail.late_reply")
         return False
 
     def _apply_faults(self, now_s: float, moving: bool) -> None:
@@ -607,7 +607,7 @@ class RailServer(BusServer):
             self._silent.discard(number)
             if (node := self._nodes.get(number)) is not None:  # which this bus has
                 node.reset(now_s)
-        if take("rail.vanish", 1) is not None:
+        if self._faults.strikes("rail.vanish", moving=moving):
             self._gateway.close()
 
     def _heartbeat_sent(self, node: int, *, boot_up: bool) -> bool:

@@ -89,7 +89,7 @@ class SlcanGateway:
         self._held = b"" if before or not self._faults.take("rail.swapped_frames") else line
         if not self._held:
             self._put(line + before)
-        if self._faults.take("rail.double_frame") is not None:
+        if self._faults.strikes("rail.double_frame"):
             self._put(line)
 
     def flush(self) -> None:
@@ -184,12 +184,12 @@ class SlcanGateway:
         except ValueError:
             self._put(self.REFUSED)
             return
-        if self._faults.take("rail.eof") is not None:
+        if self._faults.strikes("rail.eof"):
             self.drop()
             return
-        self._stalled = self._faults.take("rail.stalled") is not None
-        self._off = self._off or self._faults.take("rail.bus_off") is not None
-        if not self._opened or self._off or self._faults.take("rail.nack") is not None:
+        self._stalled = self._faults.strikes("rail.stalled")
+        self._off = self._off or self._faults.strikes("rail.bus_off")
+        if not self._opened or self._off or self._faults.strikes("rail.nack"):
             self._put(self.REFUSED)
             return
         self._put(b"z\r")

@@ -1,4 +1,4 @@
-"""C3 Bridge / KUKAVARPROXY server: a controller's variables over TCP (protocols, section 2).
+"""A controller's variables over TCP, by the C3 Bridge Interface Protocol 1.5 and KUKAVARPROXY.
 
 Big-endian. Request ``tag u16 | length of the rest u16 | type u8 | nameLen u16 | name [| valueLen
 u16 | value]``, reply ``tag | length | type | valueLen | value | error u16 | ok u8``. As the
@@ -57,7 +57,7 @@ class C3Server(Server):
         if parsed is None:
             return None
         kind, name, text = parsed
-        restarted = self._faults.take("robot.restarted") is not None
+        restarted = self._faults.strikes("robot.restarted")
         failure = 1 if restarted else self._faults.number("robot.failure_footer")
         footer = self.SUCCESS if failure is None else self.FAILURES[int(failure)]
         try:
@@ -70,7 +70,7 @@ class C3Server(Server):
         except ValueError:
             text, footer = "", self.FAILURES[1]
         value = text.encode("ascii", "replace")
-        tag = (tag + 1) % 0x10000 if self._faults.take("robot.tag_mismatch") is not None else tag
+        tag = (tag + 1) % 0x10000 if self._faults.strikes("robot.tag_mismatch") else tag
         body = struct.pack("!BH", kind, len(value)) + value + footer
         return self.HEAD.pack(tag, len(body)) + body
 

@@ -256,7 +256,7 @@ class KrlController:
             "$ROBNAME[]": lambda: '"HILCELL"',
             "$EX_AX_NUM": self._read_slide_count,
             "$AXIS_JUS[7]": lambda: self._boolean(
-                self._faults.take("robot.slide_unmastered") is None
+                not self._faults.strikes("robot.slide_unmastered")
             ),
             "$AXIS_ACT.E1": self._read_e1,
             "$AXIS_ACT": lambda: self._position("$AXIS_ACT"),
@@ -289,7 +289,7 @@ class KrlController:
 
     def _position(self, which: str) -> str:
         state = self._poll()
-        if self._faults.take("robot.stale_position") is not None and which in self._stale:
+        if self._faults.strikes("robot.stale_position") and which in self._stale:
             return self._stale[which]
         text = self._stale[which] = self._position_text(which, state)
         bad = self._faults.take("robot.bad_number")
@@ -329,7 +329,7 @@ class KrlController:
     # -- external axis E1 -----------------------------------------------------------------------
 
     def _read_slide_count(self) -> str:
-        return str(int(self._slide is not None and self._faults.take("robot.no_slide") is None))
+        return str(int(self._slide is not None and not self._faults.strikes("robot.no_slide")))
 
     def _read_e1(self) -> str:
         if self._slide is None:
@@ -356,11 +356,11 @@ class KrlController:
         if self._slide.held:
             return Error.SLIDE_HELD
         target_mm = self._target_deg["E1"]
-        softlimit = self._faults.take("robot.softlimit") is not None
+        softlimit = self._faults.strikes("robot.softlimit")
         if softlimit or not self._slide.inside(target_mm):
             return Error.OUT_OF_LIMITS
-        self._acknowledge_lost = self._faults.take("robot.ack_previous") is not None
-        self._frozen = self._faults.take("robot.frozen") is not None
+        self._acknowledge_lost = self._faults.strikes("robot.ack_previous")
+        self._frozen = self._faults.strikes("robot.frozen")
         if not self._frozen:
             self._slide.move(target_mm, min(max(self._integers["HC_VEL"], 1), 100), self._share)
         self._slide_mm = target_mm
@@ -405,7 +405,7 @@ class KrlController:
             return forbidden
         target_deg = np.array([self._target_deg[axis] for axis in AXES])
         inside = (target_deg >= self._low_deg) & (target_deg <= self._high_deg)
-        if not inside.all() or self._faults.take("robot.softlimit") is not None:
+        if not inside.all() or self._faults.strikes("robot.softlimit"):
             return Error.OUT_OF_LIMITS
         motion = apply_start_faults(self._faults, self._truth, target_deg)
         self._acknowledge_lost, self._frozen = motion.acknowledge_lost, motion.frozen
@@ -459,10 +459,10 @@ class KrlController:
     # -- faults ---------------------------------------------------------------------------------
 
     def _apply_request_faults(self) -> None:
-        if self._faults.take("robot.mode_t1") is not None:
+        if self._faults.strikes("robot.mode_t1"):
             self._mode = "#T1"
             self._halt("#P_STOP")
-        if self._faults.take("robot.deselected") is not None:
+        if self._faults.strikes("robot.deselected"):
             self._halt("#P_FREE")
 
     def _poll(self) -> RobotState:
@@ -477,16 +477,17 @@ class KrlController:
 
     def _apply_motion_faults(self) -> None:
         """Apply the faults of a moving robot, and those that are set to strike at rest."""
-        take = partial(self._faults.take, moving=self._motion.axes_moving or self._slide_in_motion)
-        if take("robot.vanish") is not None:
+        moving = self._motion.axes_moving or self._slide_in_motion
+        strikes = partial(self._faults.strikes, moving=moving)
+        if strikes("robot.vanish"):
             raise Vanished
-        if take("robot.e_stop") is not None:
+        if strikes("robot.e_stop"):
             self._emergency = self._message = True
             self._halt("#P_STOP")
-        if take("robot.stopmess") is not None:
+        if strikes("robot.stopmess"):
             self._message = True
             self._halt("#P_STOP")
-        if take("robot.override_zero") is not None:
+        if strikes("robot.override_zero"):
             self._set_override(0)
 
     @staticmethod

@@ -138,7 +138,7 @@ class EkiProgram:
             self._controller.write("$TIMER[10]", "-" + values["Life"])
         if values["Type"] in acts:
             acts[values["Type"]](values)
-        wrong = int(self._faults.take("robot.tag_mismatch") is not None)
+        wrong = int(self._faults.strikes("robot.tag_mismatch"))
         state = self._state(int(values["Id"]) + wrong)
         document_s = 0.016  # from reading the variables of a state to sending it
         self._time.spend(document_s)
@@ -282,12 +282,12 @@ class EkiServer(Server):
             each.hang_up()
 
     def _with_faults(self, former: bytes, state: bytes, segments: Segments) -> bytes:
-        if self._faults.take("robot.xml_bomb") is not None:
+        if self._faults.strikes("robot.xml_bomb"):
             return BOMB
         endless = b'<RobotState><Pos A1="' + b"0" * 20_000
-        if self._faults.take("robot.no_end") is not None:
+        if self._faults.strikes("robot.no_end"):
             return endless
-        again = self._faults.take("robot.glued_reply") is not None
+        again = self._faults.strikes("robot.glued_reply")
         twice_every = 53
         return former + state if again or segments.sent % twice_every == twice_every - 1 else state
 

@@ -1,4 +1,4 @@
-"""An emScon tracker over TCP (protocols, section 3): settings, pointing, finding, measuring.
+"""A laser tracker over TCP, by Leica's emScon TPI (Programmer's Manual, binary interface).
 
 Positions on the wire have the configured units and axes, internally mm, right-handed. As in the
 original, lengths are metres until SetUnits, and a measurement is acknowledged at once while its
@@ -30,7 +30,7 @@ from fakes.truth.tracker_truth import Followed, Measurement, StreamTruth
 from fakes.truth.transforms import Array
 from fakes.wires import HOST, Connection, Listener, Segments, Server
 
-# -- packets: little-endian, pack 4 (protocols, section 3; names after the header) ----------------
+# -- packets: little-endian, pack 4 (names after the header of the TPI) ----------------
 
 # Every packet begins ``size i32 | type u32``; commands and replies continue with ``command u32``,
 # replies with ``status u32``, then the command's fields.
@@ -205,7 +205,7 @@ class SampleStream:
         if wanted == self._sampled:
             return False
         numbers = np.arange(self._sampled + 1, wanted + 1)
-        beam = takewhile(lambda _: self._faults.take("tracker.stream_break") is None, numbers)
+        beam = takewhile(lambda _: not self._faults.strikes("tracker.stream_break"), numbers)
         seen = sum(1 for _ in beam)
         times_s = np.asarray(self._start_s + self._separation_s * numbers[:seen], dtype=float)
         xyz_mm = self._followed.read(times_s) if len(times_s) else np.zeros((0, 3))
@@ -394,7 +394,7 @@ class EmsconDevice:
         yield packets
 
     def _system_status(self) -> bytes:
-        other = self._faults.take("tracker.wrong_identity") is not None
+        other = self._faults.strikes("tracker.wrong_identity")
         processor, laser, distance_meter = (5 if self._initialised else 4), 3, 2
         head = struct.pack("<4I", Status.OK, processor, laser, distance_meter)
         return head + struct.pack("<3iI2i", *self.VERSION, 2, 0, self.SERIAL + other)
@@ -476,7 +476,7 @@ class EmsconDevice:
 
     def _lock_on(self) -> bool:
         self._target = self._instrument.find(self._pointing_mm, self._settings["search"][0])
-        if self._faults.take("tracker.no_reflector") is not None:
+        if self._faults.strikes("tracker.no_reflector"):
             self._target = None
         return self._target is not None
 
@@ -487,13 +487,13 @@ class EmsconDevice:
         yield from self._start_measurement(command)
 
     def _start_measurement(self, command: int) -> Steps:
-        if self._faults.take("tracker.vanish") is not None:
+        if self._faults.strikes("tracker.vanish"):
             raise Vanished
         refused = self._refusal()
         if refused != Status.OK:
             yield reply(command, refused)
             return
-        broken = self._faults.take("tracker.beam_break_before") is not None
+        broken = self._faults.strikes("tracker.beam_break_before")
         target = self._target
         began_mm = None if target is None else self._instrument.reflector(target)
         if broken or target is None or began_mm is None:  # or carried away
@@ -521,8 +521,8 @@ class EmsconDevice:
         )
 
     def _refusal(self) -> Status:
-        take = self._faults.take
-        if take("tracker.init_lost") is not None:
+        strikes = self._faults.strikes
+        if strikes("tracker.init_lost"):
             self._initialised = False
         if not self._initialised:
             return Status.NOT_INITIALIZED
@@ -532,14 +532,14 @@ class EmsconDevice:
             ("tracker.not_warmed_up", Status.NOT_WARMED_UP),
             ("tracker.no_distance", Status.NO_DISTANCE),
         ):
-            if take(fault) is not None:
+            if strikes(fault):
                 return status
         return Status.OK
 
     def _result(self, command: int, target: str, began_mm: Array) -> bytes:
-        take, ready = self._faults.take, status_change(Change.READY)
+        strikes, ready = self._faults.strikes, status_change(Change.READY)
         ended_mm = self._instrument.reflector(target)
-        if take("tracker.beam_break_after") is not None or ended_mm is None:
+        if strikes("tracker.beam_break_after") or ended_mm is None:
             return self._broken(command)
         still_mm = 0.02  # a target that moves further gives no stationary result
         measured = None
@@ -548,11 +548,11 @@ class EmsconDevice:
         if measured is None:
             return reply(command, Status.NO_STATIONARY_RESULT) + ready
         packets, self._late = [*self._late, self._encode(measured)], []
-        if take("tracker.late_result") is not None:
+        if strikes("tracker.late_result"):
             packets, self._late = packets[:-1], packets[-1:]
-        if take("tracker.no_result") is not None:
+        if strikes("tracker.no_result"):
             packets = []
-        storm = int(self._faults.number("tracker.status_storm") or 0)
+        storm = int(self._faults.amount("tracker.status_storm"))
         return status_change(Change.REFRACTION) * storm + b"".join(packets) + ready
 
     def _broken(self, command: int) -> bytes:
@@ -560,10 +560,10 @@ class EmsconDevice:
         return status_change(Change.NOT_READY) + reply(command, Status.NOT_READY)
 
     def _encode(self, measured: Measurement) -> bytes:
-        in_metres = self._faults.take("tracker.metres") is not None
+        in_metres = self._faults.strikes("tracker.metres")
         per_unit = 1000.0 if in_metres else self._mm_per_unit()
         signs = self._signs()
-        if self._faults.take("tracker.left_handed") is not None:
+        if self._faults.strikes("tracker.left_handed"):
             signs[1] = -signs[1]
         xyz_mm = measured.xyz_mm
         along = xyz_mm / np.linalg.norm(xyz_mm)
@@ -574,7 +574,7 @@ class EmsconDevice:
         std = measured.std_mm / per_unit
         total = float(np.linalg.norm(std))
         weather, status = self._weather(), Status.OK
-        if self._faults.take("tracker.no_weather") is not None:
+        if self._faults.strikes("tracker.no_weather"):
             weather, status = (0.0, 0.0, 0.0), Status.NO_TEMPERATURE
         values = (*xyz, *std, total, 0.0, 0.0, 0.0, *std, total, *weather)
         return single_result(values, status)
@@ -691,8 +691,8 @@ class EmsconServer(Server):
         return True
 
     def _send_damaged(self, session: _Session, data: bytes) -> None:
-        take = self._faults.take
-        if take("tracker.eof") is not None:
+        strikes = self._faults.strikes
+        if strikes("tracker.eof"):
             raise ConnectionAbortedError
         session.results += 1
         late_every, late_s = 5, 0.001  # results that come well after their acknowledgement
@@ -701,13 +701,13 @@ class EmsconServer(Server):
         weather_every = 7  # results with news of the air glued to them
         if session.results % weather_every == 0:
             data = status_change(Change.ENVIRONMENT) + data
-        if take("tracker.length_zero") is not None:
+        if strikes("tracker.length_zero"):
             data = struct.pack("<iI", 0, 2)
-        if take("tracker.length_huge") is not None:
+        if strikes("tracker.length_huge"):
             data = struct.pack("<II", 2**31, 2)
-        if take("tracker.glued_packets") is not None:
+        if strikes("tracker.glued_packets"):
             data = status_change(Change.ENVIRONMENT) + data + status_change(Change.ENVIRONMENT)
-        if take("tracker.split_packet") is not None:
+        if strikes("tracker.split_packet"):
             session.segments.send_in_two(data, 5)
         else:
             session.send(data)

@@ -76,7 +76,7 @@ class GeocomDevice:
         self._target: str | None = None
         self._time_ms = count(100, 100).__next__
         self._wait: Callable[[float], None] = lambda _duration_s: None
-        take = site.faults.take
+        strikes = site.faults.strikes
         self._handlers: dict[int, tuple[int, Callable[..., Answer]]] = {
             0: (0, Answer),
             107: (1, self._setter("_places_cache", lambda places: 0 <= places <= 15)),
@@ -97,7 +97,7 @@ class GeocomDevice:
             2029: (0, lambda: self._reals(*self._atmosphere)),
             2082: (2, lambda wait_ms, mode: self._measurement(wait_ms, self._coordinates)),
             2108: (2, lambda wait_ms, mode: self._measurement(wait_ms, self._polar)),
-            5003: (0, lambda: _whole(self.SERIAL + (take("tracker.wrong_identity") is not None))),
+            5003: (0, lambda: _whole(self.SERIAL + strikes("tracker.wrong_identity"))),
             5004: (0, lambda: Answer(values=('"TS60 (simulated)"',))),
             5034: (0, lambda: _whole(8, 50, 0)),
             9027: (5, lambda hz, v, exact, aim, dummy: self._point(hz, v, aim)),
@@ -176,8 +176,8 @@ class GeocomDevice:
             if off_hz <= width / 2 and off_v <= height / 2:
                 inside.append((math.hypot(off_hz, off_v), at_mm))
         inside.sort(key=lambda each: each[0])
-        take = self._faults.take
-        if not inside or take("tracker.no_reflector") is not None:
+        strikes = self._faults.strikes
+        if not inside or strikes("tracker.no_reflector"):
             return Answer(Code.NO_TARGET)
         apart_rad = 1e-3  # closer targets are not separated
         if len(inside) > 1:
@@ -204,16 +204,16 @@ class GeocomDevice:
             return Answer()
         if command != distance:
             return Answer(Code.NOT_IMPLEMENTED)
-        if self._faults.take("tracker.vanish") is not None:
+        if self._faults.strikes("tracker.vanish"):
             raise Vanished
-        if self._faults.take("tracker.busy") is not None:
+        if self._faults.strikes("tracker.busy"):
             return Answer(Code.BUSY)
         self._started = True
         return Answer()
 
     def _measurement(self, wait_ms: float, form: Callable[..., Answer]) -> Answer:
         """Return the started or last distance, or angles alone, after up to ``wait_ms``."""
-        take = self._faults.take
+        strikes = self._faults.strikes
         if not self._started and self._measured is not None:
             return form(*self._measured)
         if not self._started or wait_ms / 1000 < self.DISTANCE_S:
@@ -221,10 +221,10 @@ class GeocomDevice:
             return form(*self._pointing, 0.0)
         self._wait(self.DISTANCE_S)
         self._started = False
-        if take("tracker.no_distance") is not None:
+        if strikes("tracker.no_distance"):
             return form(*self._pointing, 0.0)
         broken = ("tracker.beam_break_before", "tracker.beam_break_after")
-        if any(take(fault) is not None for fault in broken):
+        if any(strikes(fault) for fault in broken):
             return Answer(Code.DISTANCE_ERROR)
         found = None if self._target is None else self._instrument.measure(self._target)
         if found is None:
@@ -353,14 +353,14 @@ class GeocomServer(Server):
             known = self.device.knows(rpc)
             session.say(encoded(0 if known else self.UNAVAILABLE, transaction, answer))
             return
-        take = self._faults.take
-        if take("tracker.eof") is not None:
+        strikes = self._faults.strikes
+        if strikes("tracker.eof"):
             raise ConnectionAbortedError
-        if take("tracker.no_result") is not None:
+        if strikes("tracker.no_result"):
             return
-        if take("tracker.geocom_noise") is not None:
+        if strikes("tracker.geocom_noise"):
             session.say(b"\xfe\x80\xf8\x06")
-        transaction += take("tracker.geocom_number") is not None
+        transaction += strikes("tracker.geocom_number")
         session.answer(encoded(0, transaction, answer), self._faults)
 
 

@@ -5,8 +5,8 @@ and repeatability depend on the joint angles alone. Loads follow from the links'
 gravity, not from the maker's angle convention.
 
 All but ripple, lost motion, repeatability and growth are scaled together, over the machine's own
-reference cube, to the paper's error: against the base frame built from the circles of axes 1 and 6
-(section 4.2), here without noise. This ideal {B} is not the frame in which the axes are drawn;
+reference cube, to the paper's error: against the base frame built from the circles of axes 1 and 6,
+here without noise. This ideal {B} is not the frame in which the axes are drawn;
 `ideal_base` relates them.
 """
 
@@ -316,7 +316,7 @@ class ArmTruth:
         return joints_rad + self._errors.zero_rad + self.lost_rad + bent + ripple
 
     def _base_from_axes(self, axis_6_rad: Array) -> Array:
-        """Return the ideal {B} in {R}, (4, 4), after section 4.2.
+        """Return the ideal {B} in {R}, (4, 4), as a base frame is measured.
 
         Axis 1 is {R}'s z. Axis 6 at these joints gives x, and the centre of its circle the height,
         which is nominal by definition.

@@ -177,7 +177,7 @@ class CellTruth:
         self._joints_cache, self._places_cache = (None, np.zeros(6)), None
 
     def base_in_world(self) -> Array:
-        """Return the base frame (4, 4) in {W} that section 4.2 gives without measurement errors."""
+        """Return the base frame (4, 4) in {W} that circles of axes 1 and 6 give without errors."""
         return self.rail.slide_pose() @ self._T_S_R @ self.arm.ideal_base
 
     @staticmethod
@@ -234,29 +234,25 @@ def apply_start_faults(
     """Apply the faults that strike when a robot's motion to joints (6,) starts."""
     number = faults.number
     lost_zeros = (
-        "robot.lost_zero",
-        "robot.lost_zero_2",
-        "robot.lost_zero_3",
-        "robot.lost_zero_4",
-        "robot.lost_zero_5",
-        "robot.lost_zero_6",
-    )
+        "robot.lost_zero", "robot.lost_zero_2", "robot.lost_zero_3",
+        "robot.lost_zero_4", "robot.lost_zero_5", "robot.lost_zero_6",
+    )  # fmt: skip
     lost_deg = {axis: number(fault) for axis, fault in enumerate(lost_zeros, start=1)}
-    slipped_mm, lost_urad = number("robot.mount_slip"), number("robot.lost_motion")
+    slipped_mm, lost_urad = faults.amount("robot.mount_slip"), faults.amount("robot.lost_motion")
     um_m, slip_deg = number("robot.growing"), number("robot.brake_slips")
     if isinstance(truth, CellTruth):  # faults do not change recorded data
         for axis, each_deg in lost_deg.items():
             if each_deg is not None:
                 truth.lose_zero(float(np.radians(each_deg)), axis)
-        truth.slip_mount(slipped_mm or 0.0)
-        truth.lose_motion(1e-6 * (lost_urad or 0.0))
+        truth.slip_mount(slipped_mm)
+        truth.lose_motion(1e-6 * lost_urad)
         if um_m is not None:
             truth.grow(um_m)
         if slip_deg is not None:
             truth.loosen(2, float(np.radians(slip_deg)))
-    acknowledge_lost = faults.take("robot.ack_previous") is not None
-    frozen = faults.take("robot.frozen") is not None
-    target_deg = target_deg - (number("robot.stops_short") or 0.0)
-    if faults.take("robot.wrong_turn") is not None:
+    acknowledge_lost = faults.strikes("robot.ack_previous")
+    frozen = faults.strikes("robot.frozen")
+    target_deg = target_deg - faults.amount("robot.stops_short")
+    if faults.strikes("robot.wrong_turn"):
         target_deg = target_deg + np.array([0.0] * 5 + [360.0])
     return MotionFaults(target_deg, frozen, acknowledge_lost)

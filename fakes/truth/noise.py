@@ -49,8 +49,7 @@ class Dither:
     """Counts of a servo or a strip at rest about zero, at most ``reach`` to either side.
 
     One step a SYNC. Every second step is zero, and the others alternate in sign, so the median of
-    any five consecutive steps is zero: a run gives the same figures however often a slow PC polls
-    (decision 4).
+    any five consecutive steps is zero: a run gives the same figures however often a slow PC polls.
     """
 
     STEPS = 240

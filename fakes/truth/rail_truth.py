@@ -174,9 +174,9 @@ class RailTruth:
         return self._shape.pose(self.slide_mm())
 
     def _apply_faults(self, now_s: float) -> None:
-        self._zero_mm -= self._faults.number("rail.reference_lost") or 0.0
+        self._zero_mm -= self._faults.amount("rail.reference_lost")
         if self._braked and now_s >= self._path.end_s:
-            pushed_mm = self._faults.number("rail.pushed") or 0.0
+            pushed_mm = self._faults.amount("rail.pushed")
             if pushed_mm:
                 self._path = Path(now_s, self._path.at(now_s)[0] + pushed_mm)
                 self._play_mm += pushed_mm
@@ -187,8 +187,8 @@ class RailTruth:
         return Path(now_s, *self._path.at(now_s))
 
     def _start(self, path: Path, key: str, distance_mm: float) -> None:
-        self._backlash_mm += self._faults.number("rail.backlash") or 0.0
-        self._slip_mm += self._faults.number("rail.slip") or 0.0
+        self._backlash_mm += self._faults.amount("rail.backlash")
+        self._slip_mm += self._faults.amount("rail.slip")
         long_move_mm = 100.0  # shorter moves land with less noise
         share = min(1.0, distance_mm / long_move_mm)
         long_mm, short_mm = self._sizes.landing_mm, self._sizes.short_landing_mm

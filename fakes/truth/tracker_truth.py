@@ -102,7 +102,7 @@ class TrackerTruth:
         to_tracker = partial(transform_point, self._from_world)
         in_range = (name for name in order if self._in_range(to_tracker(places[name])))
         best, next_best = next(in_range, None), next(in_range, None)
-        if next_best is not None and self._faults.take("tracker.wrong_target") is not None:
+        if next_best is not None and self._faults.strikes("tracker.wrong_target"):
             return next_best
         return best if best is not None and off_mm[best] <= radius_mm else None
 
@@ -193,19 +193,19 @@ class TrackerTruth:
         return math.sin(2 * math.pi * age + self._air_phases[number])
 
     def _apply_faults(self, name: str) -> _MeasurementFaults:
-        number = self._faults.number
+        number, amount = self._faults.number, self._faults.amount
         noisy_mm = number("tracker.noisy")
-        self._bump_mm[0] += number("tracker.drift_step") or 0.0
-        self._scale += 1e-6 * (number("tracker.scale_ppm") or 0.0)
-        lifted_mm = number("tracker.nest_lifted") or 0.0
+        self._bump_mm[0] += amount("tracker.drift_step")
+        self._scale += 1e-6 * amount("tracker.scale_ppm")
+        lifted_mm = amount("tracker.nest_lifted")
         self._lifted_mm[name] = self._lifted_mm.get(name, 0.0) + lifted_mm
-        self._warmer_k += number("tracker.warmer") or 0.0
-        self._offset_mm += number("tracker.wrong_offset") or 0.0
+        self._warmer_k += amount("tracker.warmer")
+        self._offset_mm += amount("tracker.wrong_offset")
         for axis, fault in enumerate(("tracker.collimation", "tracker.transit", "tracker.index")):
-            self._axes_rad[axis] += self.URAD * (number(fault) or 0.0)
+            self._axes_rad[axis] += self.URAD * amount(fault)
         if (turning := number("tracker.turning")) is not None:
             self._turning_rad, self._turning_since = self.URAD * turning, self.measured
-        return _MeasurementFaults(self._offset_mm, noisy_mm, number("tracker.spike") or 0.0)
+        return _MeasurementFaults(self._offset_mm, noisy_mm, amount("tracker.spike"))
 
     def _sighted(self, xyz_mm: Array, *, back: bool = False) -> Array:
         """Return positions (N, 3) with the errors of the tracker's axes and its rotation drift.

@@ -1,7 +1,7 @@
-"""A robot of Universal Robots on its three ports: RTDE, scripts, dashboard (protocols, robot C).
+"""A robot of Universal Robots on its three ports: RTDE, scripts, dashboard.
 
-RTDE's packages are big-endian, ``size u16 | type u8 | payload``: states at a rate, registers in.
-In stepped time each state is a cycle. One client at a time may write registers. Packages are sent
+By the maker's RTDE Guide and Dashboard Server manual (e-Series). RTDE's packages are big-endian,
+``size u16 | type u8 | payload``: states at a rate, registers in. In stepped time each state is a cycle. One client at a time may write registers. Packages are sent
 as `fakes.wires` describes; occasionally two are sent in one segment.
 """
 
@@ -124,7 +124,7 @@ class UrController:
             self._apply_motion_faults()
             self._run()
             values = self._values()
-            stale = self._faults.take("robot.stale_position") is not None
+            stale = self._faults.strikes("robot.stale_position")
             if stale and self._stale is not None:
                 values |= self._stale
             kept = ("timestamp", "actual_q", "actual_qd", "actual_TCP_pose")
@@ -208,7 +208,7 @@ class UrController:
             joints_rad, speeds = joints_rad + dither_rad * off[:6], dither_rad_s * off[6:]
         T = self._arm.chain.pose(joints_rad)
         pose = np.concatenate([T[:3, 3] / 1000.0, rotation_vector(T[:3, :3])])
-        if self._faults.take("robot.wrong_tool") is not None:
+        if self._faults.strikes("robot.wrong_tool"):
             self._wrong_tool = True
         tool = np.zeros(6) if self._wrong_tool else self._tcp
         found: Values = {
@@ -263,7 +263,7 @@ class UrController:
         target = [self.inputs[f"input_double_register_{n}"] for n in range(24, 30)]
         target_deg = np.degrees(target)
         inside = (target_deg >= self._low_deg) & (target_deg <= self._high_deg)
-        if not inside.all() or self._faults.take("robot.softlimit") is not None:
+        if not inside.all() or self._faults.strikes("robot.softlimit"):
             return Error.OUT_OF_LIMITS
         motion = apply_start_faults(self._faults, self._truth, target_deg)
         self._acknowledge_lost, self._frozen = motion.acknowledge_lost, motion.frozen
@@ -305,28 +305,28 @@ class UrController:
     # -- faults -------------------------------------------------------------------------------
 
     def _apply_request_faults(self) -> None:
-        if self._faults.take("robot.mode_t1") is not None:
+        if self._faults.strikes("robot.mode_t1"):
             self.remote = False
             self._end_program()
-        if self._faults.take("robot.deselected") is not None:
+        if self._faults.strikes("robot.deselected"):
             self._end_program()
-        if self._faults.take("robot.restarted") is not None:
+        if self._faults.strikes("robot.restarted"):
             self._end_program()
             self._mode, self._session = Mode.BOOTING, 0
 
     def _apply_motion_faults(self) -> None:
         """Apply the faults of a moving robot, and advance the motion."""
-        take = partial(self._faults.take, moving=self._motion.axes_moving)
-        if take("robot.vanish") is not None:
+        strikes = partial(self._faults.strikes, moving=self._motion.axes_moving)
+        if strikes("robot.vanish"):
             raise Vanished
-        if take("robot.e_stop") is not None:
+        if strikes("robot.e_stop"):
             self._end_program()
             self._mode, self.safety = Mode.POWER_OFF, Safety.ROBOT_EMERGENCY_STOP
-        if take("robot.stopmess") is not None:
+        if strikes("robot.stopmess"):
             self._motion.brake()
             self._timer.stop()
             self.safety, self._runtime = Safety.PROTECTIVE_STOP, Runtime.PAUSED
-        if take("robot.override_zero") is not None:
+        if strikes("robot.override_zero"):
             self.slide(0.0)
         if not self._time.followed:
             self._motion.poll()
@@ -443,10 +443,10 @@ class _Session:
         return number, types
 
     def _write(self, payload: bytes) -> bool:
-        take = self._server.faults.take
-        if take("robot.idle_close") is not None:
+        strikes = self._server.faults.strikes
+        if strikes("robot.idle_close"):
             return False
-        if take("robot.half_open") is not None or take("robot.no_reply") is not None:
+        if strikes("robot.half_open") or strikes("robot.no_reply"):
             self._silent = True
         recipe = self._inputs.get(payload[0], []) if payload else []
         layout = "!B" + "".join("i" if kind == "INT32" else "d" for _, kind in recipe)
@@ -465,7 +465,7 @@ class _Session:
         late_s = faults.number("robot.late_reply")
         if late_s is not None:
             time.sleep(late_s)
-        number = 2 if faults.take("robot.tag_mismatch") is not None else 1
+        number = 2 if faults.strikes("robot.tag_mismatch") else 1
         numbers: list[float] = []
         for name in self._outputs:
             value = values[name]
@@ -476,7 +476,7 @@ class _Session:
         )
         self._sent += 1
         glued_every, glued, self._glued = 29, self._glued, b""
-        if faults.take("robot.split_reply") is not None:
+        if faults.strikes("robot.split_reply"):
             self._segments.send_in_two(package, len(package) // 2)
         elif self._sent % glued_every == 0 and not glued:
             self._glued = package

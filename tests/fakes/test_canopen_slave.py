@@ -28,7 +28,7 @@ def aborted(call: Callable[..., object], *args: object) -> int:
     return refused.value.code
 
 
-# -- golden frames of protocols.md, section 1 --------------------------------------------------
+# -- golden frames of CiA 301 -----------------------------------------------------------------
 
 
 def test_boot_up_comes_after_open_and_once() -> None:

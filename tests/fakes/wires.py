@@ -1,4 +1,4 @@
-"""Plain clients of the device servers, written from protocols.md, for tests of the fakes."""
+"""Plain clients of the device servers, written from their manuals, not from the drivers."""
 
 from __future__ import annotations
 
