@@ -1,8 +1,9 @@
 """A robot of Universal Robots on its three ports: RTDE, scripts, dashboard.
 
 By the maker's RTDE Guide and Dashboard Server manual (e-Series). RTDE's packages are big-endian,
-``size u16 | type u8 | payload``: states at a rate, registers in. In stepped time each state is a cycle. One client at a time may write registers. Packages are sent
-as `fakes.wires` describes; occasionally two are sent in one segment.
+``size u16 | type u8 | payload``: states at a rate, registers in. In stepped time each state is a
+cycle. One client at a time may write registers. Packages are sent as `fakes.wires` describes;
+occasionally two are sent in one segment.
 """
 
 from __future__ import annotations
