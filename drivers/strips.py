@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import astuple
 from functools import reduce
 from operator import or_
 from typing import Annotated, ClassVar, Literal
@@ -59,11 +58,6 @@ class StripOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
             parse_channel(self.channel)
         else:
             refuse(bus_problems(self.interface, self.channel, self.bitrate))
-
-
-def summed(one: LinkStatistics, other: LinkStatistics) -> LinkStatistics:
-    counts = zip(astuple(one), astuple(other), strict=True)
-    return LinkStatistics(*(ours + theirs for ours, theirs in counts))
 
 
 class SerialStrip:
@@ -337,7 +331,7 @@ class StripReader:
 
     def statistics(self) -> LinkStatistics:
         """Return the counts since `connect`, including wires that were lost."""
-        return summed(self._before, self._strip.statistics())
+        return self._before + self._strip.statistics()
 
     def alarm_text(self, alarms: int) -> str:
         if alarms & LOST and self._lost is not None:

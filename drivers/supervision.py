@@ -144,16 +144,16 @@ class MotionLimits:
         self._deadline = Deadline(stall_s, self.STEP_S)
         self._at_least = Deadline(stall_s, self.STEP_S)
         self._position: Array | None = None
-        self._stands = False
+        self._at_rest = False
         self._now_s: float | None = None
         self._share = 1.0
 
     def stalled(self, position: Array) -> bool:
         """Whether no axis has got further by ``progress`` for ``stall_s`` of real time."""
-        self._stands = self._position is not None and bool(
+        self._at_rest = self._position is not None and bool(
             np.all(np.abs(position - self._position) <= self._progress)
         )
-        if not self._stands:
+        if not self._at_rest:
             self._position, self._deadline = position, Deadline(self._stall_s, self.STEP_S)
             return False
         return self._deadline.expired()
@@ -169,7 +169,7 @@ class MotionLimits:
             self.spent_s += (now_s - self._now_s) * min(share, self._share)
         self._now_s, self._share = now_s, share
         real = self._at_least.expired()
-        return real and not self._stands and not self.spent_s <= self.limit_s
+        return real and not self._at_rest and not self.spent_s <= self.limit_s
 
     def stall_error(self, where: str, expected: str, axes_deg: Array) -> DeviceError:
         """Return the error of a motion that gets no further; ``where`` has its axes."""

@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from threading import Event
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
@@ -78,6 +78,10 @@ class LinkStatistics:
     malformed: int = 0  # frames too short for their contents
     held_by_sdo: int = 0  # 1: at the end no PDO came, and SDO confirmed that the slide is held
 
+    def __add__(self, other: LinkStatistics) -> LinkStatistics:
+        counts = zip(astuple(self), astuple(other), strict=True)
+        return LinkStatistics(*(ours + theirs for ours, theirs in counts))
+
 
 @dataclass(frozen=True, slots=True)
 class RobotReading:
@@ -133,14 +137,14 @@ class TrackerReading:
 class StreamBlock:
     """Samples of a tracker: times (N,) of its own clock, positions (N, 3) in its frame.
 
-    They arrived between ``after_s`` and ``by_s`` of the cell's clock. They were taken before; how
-    long before is known from many blocks only.
+    They arrived between two times of the cell's clock. They were taken before; how long before is
+    known from many blocks only.
     """
 
     device_s: Array
     xyz_mm: Array
-    after_s: float
-    by_s: float
+    arrived_after_s: float
+    arrived_by_s: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,7 +42,6 @@ from drivers.strips import (
     StripOptions,
     StripReader,
     strip_of,
-    summed,
 )
 from drivers.supervision import Deadline, Watchdog, ignore_stop, on_failure
 from hilcell.cell.settings import refuse
@@ -181,7 +180,7 @@ class CanopenRail:
     def statistics(self) -> LinkStatistics:
         link, feed = self._link, self._feed
         of_drive = link.statistics() if link is not None else self._statistics
-        return of_drive if feed is None else summed(of_drive, feed.statistics())
+        return of_drive if feed is None else of_drive + feed.statistics()
 
     def stop(self) -> None:
         if (image := self._image) is not None:  # another thread may be closing

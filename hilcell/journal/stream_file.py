@@ -77,7 +77,7 @@ class StreamFile:
         for block in blocks:
             rows = np.zeros(len(block.device_s), SAMPLES)
             rows["device_s"], rows["xyz_mm"] = block.device_s, block.xyz_mm
-            rows["after_s"], rows["by_s"] = block.after_s, block.by_s
+            rows["after_s"], rows["by_s"] = block.arrived_after_s, block.arrived_by_s
             self._append(rows)
             if self._first_s is None:
                 self._first_s = self._last_s = float(block.device_s[0])

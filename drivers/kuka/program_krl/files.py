@@ -172,7 +172,7 @@ class _Reader:
             for name, block in self._blocks.items()
             if any(token.word in moves for statement in block for token in statement.tokens)
         }
-        self._stands, self._surely = StrokeRule(self._blocks, moving), _Surely(moving)
+        self._stroke_rule, self._surely = StrokeRule(self._blocks, moving), _Surely(moving)
         self._relative: list[Relative] = []
         self._missing: list[str] = []  # names that the data list beside it would have
         self._local = {name for each in found for name in _local(each)}
@@ -294,10 +294,10 @@ class _Reader:
             raise KrlError("a string does not end on its line")
         if statement.head in STROKES:
             self._frames.stroke(statement.line)
-            self._relative += self._stands.take(statement)
+            self._relative += self._stroke_rule.take(statement)
             return
         self._refuse_motions(statement)
-        self._relative += self._stands.pass_by(statement)
+        self._relative += self._stroke_rule.pass_by(statement)
         colons = any(token.text == ":" for token in self._outside_braces(tokens))
         if colons and not statement.is_label:
             raise KrlError("the geometric operator ':' computes a frame at run time")
@@ -308,7 +308,7 @@ class _Reader:
             self._check_calls(statement)
 
     def _motion(self, statement: Statement) -> None:
-        self._stands.start_at(())
+        self._stroke_rule.start_at(())
         self._moves_in.setdefault(self._surely.program, statement.line)
         target, rest = _target(statement.tokens)
         clause = self._clause(rest)
@@ -320,7 +320,7 @@ class _Reader:
                 return
             self._frames.move(statement.line, clause)
             self._add({f"{statement.line}": inline}, statement)
-            self._stands.start_at([f"{statement.line}"])
+            self._stroke_rule.start_at([f"{statement.line}"])
             return
         self._places.add(target[0].start)
         if statement.head in self.JOINTWISE and self._stays(name, statement.line):
@@ -328,7 +328,7 @@ class _Reader:
         self._frames.move(statement.line, clause)
         meant = {each.name: each for each in self._meant(target)}
         self._add(meant, statement)
-        self._stands.start_at(list(meant))
+        self._stroke_rule.start_at(list(meant))
 
     def _joint_target(self, statement: Statement, inline: Datum) -> None:
         """Leave a first motion to all six joints as it is, a home move; refuse any other."""

@@ -70,8 +70,9 @@ def test_a_stream_sets_its_mode_collects_and_restores(tracker: Quick) -> None:
         np.concatenate([block.device_s for block in blocks]), 7.0 + np.arange(8) / 100.0
     )
     assert all(np.array_equal(block.xyz_mm, np.tile(POINT, (4, 1))) for block in blocks)
-    assert all(block.after_s <= block.by_s for block in blocks)
-    assert blocks[0].by_s >= blocks[1].after_s >= blocks[0].after_s
+    assert all(block.arrived_after_s <= block.arrived_by_s for block in blocks)
+    first, second = blocks
+    assert first.arrived_by_s >= second.arrived_after_s >= first.arrived_after_s
     peer.answers[START] = lambda _: [reply(START), READY, result(POINT)]
     peer.answers[STOP] = lambda _: [reply(STOP)]
     assert tracker.measure(POINT, SMR, 1).samples == 1  # at rest, afterwards
