@@ -215,6 +215,10 @@ def refusal(act: Callable[[], object]) -> DeviceError:
     return caught.value
 
 
+def kind(error: DeviceError) -> tuple[type[DeviceError], str]:
+    return type(error), error.code
+
+
 def figure(error: DeviceError, field: str) -> float:
     """Return a number of an error's fields."""
     value = error.fields[field]

@@ -79,23 +79,22 @@ def test_a_strip_in_alarm_has_no_position_and_the_reading_says_so() -> None:
     assert after(dirty, *(replace(poll(20 * n), alarms=1) for n in range(9))).rest is None
 
 
-def test_one_poll_confirms_a_slide_at_rest() -> None:
+@pytest.mark.parametrize(
+    ("later", "at_s", "at_rest"),
+    [
+        (poll(1002, 99), 5.0, True),
+        (poll(position=1014), 5.0, False),
+        (poll(strip=103), 5.0, False),
+        (poll(strip=97), 5.0, False),
+        (poll(), 0.6 + Standstill.HISTORY_S, False),  # an old history counts for nothing
+    ],
+)
+def test_one_poll_confirms_a_slide_at_rest_or_shows_that_it_has_moved(
+    later: Snapshot, at_s: float, at_rest: bool
+) -> None:
     standstill = after(*DITHER)
-    standstill.add(poll(1002, 99), 5.0)
-    assert standstill.rest is not None
-
-
-@pytest.mark.parametrize("moved", [poll(position=1014), poll(strip=103), poll(strip=97)])
-def test_one_poll_shows_that_the_slide_has_moved(moved: Snapshot) -> None:
-    standstill = after(*DITHER)
-    standstill.add(moved, 5.0)
-    assert standstill.rest is None
-
-
-def test_an_old_history_counts_for_nothing() -> None:
-    standstill = after(*DITHER)
-    standstill.add(poll(), 0.6 + Standstill.HISTORY_S)
-    assert standstill.rest is None
+    standstill.add(later, at_s)
+    assert (standstill.rest is not None) is at_rest
 
 
 def test_polls_before_a_motion_are_forgotten() -> None:

@@ -62,6 +62,7 @@ class KukaPeer:
         self.mangle: Mangle = lambda _name, reply: [reply]
         self.started: Callable[[], object] = lambda: None
         self.moved: Callable[[], None] = lambda: None
+        self.on_read: Callable[[str], None] = lambda _name: None  # before the answer
         self.measures, self.slip_deg = False, 0.0  # of the joints against the ordered ones
         self.deaf = 0  # stops that are lost
         self._lock = threading.Lock()
@@ -88,6 +89,7 @@ class KukaPeer:
                 connection.sendall(piece)
 
     def _read(self, name: str) -> str | None:
+        self.on_read(name)
         if name == "HC_ACK":
             self._step()
         if name == "$AXIS_ACT" or (name == "$AXIS_ACT_MEAS" and self.measures):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from drivers.strips import StripOptions
 from hilcell.ports import DeviceRefused, Stopped, StripLost
 from tests.drivers.kuka.kuka_bed import ALARMS, TARGET_RAD, BedRobot
 from tests.drivers.kuka.kuka_peer import KukaPeer
-from tests.drivers.peers import WireTime, refusal
+from tests.drivers.peers import WireTime, kind, refusal
 from tests.drivers.strip_peer import StripPeer
 
 
@@ -38,6 +39,16 @@ class Bench:
         rail = KukaE1Rail(KukaE1Rail.Options(**(values | options)), self.time)
         rail.attach_robot(self.robot)
         return rail
+
+    def slides(self, places: Iterable[float], by: str = "$AXIS_ACT.E1") -> None:
+        """Let each read of the slide's place find it at the next one."""
+        following = iter(places)
+
+        def slide(name: str) -> None:
+            if name == by:
+                self.kuka.slide_mm = float(next(following))
+
+        self.kuka.on_read = slide
 
     def connect(self) -> None:
         self.robot.connect()
@@ -116,28 +127,15 @@ def test_an_arm_whose_slide_moves_along_is_not_at_rest(bench: Bench) -> None:
 
 def test_a_slide_that_is_read_twice_at_two_places_moves(bench: Bench) -> None:
     bench.connect()
-    places = iter(np.arange(640.1, 700.0, 0.1))
-
-    def mangle(name: str, reply: bytes) -> list[bytes]:
-        if name == "$AXIS_ACT":
-            bench.kuka.slide_mm = float(next(places))
-        return [reply]
-
-    bench.kuka.mangle = mangle
+    bench.slides(np.arange(640.1, 700.0, 0.1), by="$AXIS_ACT")
     assert not bench.robot.read().still
 
 
 def test_the_program_refuses_a_slide_that_is_held(bench: Bench) -> None:
     bench.connect()
-    bench.kuka.mangle = lambda name, reply: [_hold(bench.kuka, name) or reply]
+    bench.kuka.started = lambda: bench.kuka.variables.update(HC_HELD="TRUE")
     assert refusal(lambda: bench.rail.move_to(1100.0)).fields == {"error": 4}
     bench.kuka.stopped.wait()
-
-
-def _hold(kuka: KukaPeer, name: str) -> bytes:
-    if name == "HC_SEQ":
-        kuka.variables["HC_HELD"] = "TRUE"
-    return b""
 
 
 def test_a_slide_that_was_pushed_is_named_by_the_arms_motion(bench: Bench) -> None:
@@ -172,8 +170,7 @@ def test_a_robot_that_cannot_move_it_is_refused(
 ) -> None:
     bench.kuka.variables |= changed
     bench.robot.connect()
-    error = refusal(bench.rail.connect)
-    assert (type(error), error.code) == (DeviceRefused, code)
+    assert kind(refusal(bench.rail.connect)) == (DeviceRefused, code)
 
 
 def test_an_axis_that_was_mastered_elsewhere_is_refused(bench: Bench) -> None:
@@ -188,14 +185,7 @@ def test_an_axis_that_runs_faster_than_it_should_is_stopped(
     monkeypatch.setattr(kuka_robot.KukaRobot, "SPEED_OVER_S", 0.001)
     bench.connect()
     bench.kuka.frozen = True  # it runs by itself, without an end
-    place = iter(range(100_000))
-
-    def mangle(name: str, reply: bytes) -> list[bytes]:
-        if name == "$AXIS_ACT.E1":
-            bench.kuka.slide_mm = 640.0 + 50.0 * next(place)
-        return [reply]
-
-    bench.kuka.mangle = mangle
+    bench.slides(count(640.0, 50.0))
     assert refusal(lambda: bench.rail.move_to(2999.0)).code == "HC-R33"
     bench.kuka.stopped.wait()
 
@@ -205,13 +195,7 @@ def test_scales_that_differ_are_named_in_motion(bench: Bench, ratio: float) -> N
     bench.connect()
     bench.kuka.frozen, began_mm = True, bench.kuka.slide_mm
     bench.strip.counts = lambda: round(100.0 * ratio * bench.kuka.slide_mm)
-
-    def mangle(name: str, reply: bytes) -> list[bytes]:
-        if name == "$AXIS_ACT.E1":
-            bench.kuka.slide_mm += 1.0
-        return [reply]
-
-    bench.kuka.mangle = mangle
+    bench.slides(count(began_mm + 1.0))
     error = refusal(lambda: bench.rail.move_to(2900.0))
     assert error.code == "HC-R47"
     assert error.fields["ratio"] == pytest.approx(ratio, rel=0.05)
@@ -284,14 +268,7 @@ def test_a_strip_in_alarm_or_lost_lets_the_slide_move_and_no_reading_through(
 
 def test_a_creep_is_no_rest(bench: Bench) -> None:
     bench.connect()
-    places = iter(np.arange(640.0, 700.0, 0.02))
-
-    def mangle(name: str, reply: bytes) -> list[bytes]:
-        if name == "$AXIS_ACT.E1":
-            bench.kuka.slide_mm = float(next(places))
-        return [reply]
-
-    bench.kuka.mangle = mangle
+    bench.slides(np.arange(640.0, 700.0, 0.02))
     assert refusal(bench.rail.settle).code == "HC-S06"
     assert not bench.rail.read().still
 

@@ -17,7 +17,7 @@ from hilcell.cell.settings import SettingsError, convert
 from hilcell.ports import Array, DeviceError, DeviceRefused, Robot, Stopped
 from tests.drivers.kuka.kuka_bed import ALARMS, TARGET_RAD, BedRobot, RobotBed
 from tests.drivers.kuka.kuka_peer import VARIABLES, KukaPeer
-from tests.drivers.peers import figure, in_thread, refusal, soon
+from tests.drivers.peers import figure, in_thread, kind, refusal, soon
 
 pytestmark = pytest.mark.waits
 
@@ -99,13 +99,11 @@ def test_an_arm_that_creeps_for_ever_is_stopped_and_a_low_override_given_its_tim
     peer = robot.peer
     peer.frozen = True
     peer.variables["$OV_PRO"] = override
-    original = peer._read
 
-    def read(name: str) -> str | None:
+    def creep(name: str) -> None:
         peer.axes[0] += 0.05 * (name == "$AXIS_ACT" and not peer.stopped.is_set())
-        return original(name)
 
-    monkeypatch.setattr(peer, "_read", read)
+    peer.on_read = creep
     monkeypatch.setattr(kuka_robot, "STALL_S", 0.0)
     monkeypatch.setattr(kuka_robot, "POLL_S", 0.9)
     began_s = robot.time.now_s()
@@ -191,7 +189,7 @@ def test_a_wrong_robot_is_refused(bed: RobotBed, name: str, value: str, found: s
     bed.peer.variables[name] = value
     robot = bed.make()
     refused = refusal(robot.connect)
-    assert (type(refused), refused.code) == (DeviceRefused, ALARMS[name])
+    assert kind(refused) == (DeviceRefused, ALARMS[name])
     assert found in refused.found
     refusal(robot.read)
 
@@ -258,13 +256,12 @@ def test_an_arm_that_does_not_come_to_rest_is_named(
     robot: BedRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     in_motion(robot, robot.peer, monkeypatch)
-    original = robot.peer._read
 
-    def sinks(name: str) -> str | None:
+    def sink(name: str) -> None:
         robot.peer.axes[1] += 0.01 * (name == "$AXIS_ACT")
-        return original(name)
 
-    monkeypatch.setattr(robot.peer, "_read", sinks)
+    monkeypatch.setattr(robot_c3, "REPLY_S", 30.0)  # the controller answers
+    robot.peer.on_read = sink
     robot.time.silence(0.5)
     error = refusal(robot.close)
     assert (error.code, error.operation) == ("HC-B41", "close")
@@ -314,18 +311,14 @@ def test_stopping_beside_the_target_is_noticed(robot: BedRobot, short_deg: float
 
 
 @pytest.mark.parametrize("steps", [range(1000), range(999, -1, -1)], ids=["up", "down"])
-def test_a_moving_pose_is_not_rest(
-    robot: BedRobot, monkeypatch: pytest.MonkeyPatch, steps: range
-) -> None:
-    number = iter(steps)
-    original = robot.peer._read
+def test_a_moving_pose_is_not_rest(robot: BedRobot, steps: range) -> None:
+    pose, number = robot.peer.pose, iter(steps)
 
-    def read(name: str) -> str | None:
+    def move(name: str) -> None:
         if name == "$POS_ACT":
-            return robot.peer.pose.replace("1620.5", f"1{next(number):03}.5")
-        return original(name)
+            robot.peer.pose = pose.replace("1620.5", f"1{next(number):03}.5")
 
-    monkeypatch.setattr(robot.peer, "_read", read)
+    robot.peer.on_read = move
     assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == "HC-B24"
 
 
@@ -446,12 +439,13 @@ def test_a_motion_that_a_dead_engine_left_brakes_and_is_taken_back(
     """Its timer runs out while the next connect waits for its end."""
     peer = bed.peer
     peer.variables["HC_SEQ"] = "8"
-    looks, original = iter(["FALSE", "FALSE", "TRUE"]), peer._read
+    looks = iter(["FALSE", "FALSE"])
 
-    def read(name: str) -> str | None:
-        return next(looks, "TRUE") if name == "HC_STOP" else original(name)
+    def brake(name: str) -> None:
+        if name == "HC_STOP":  # it comes by itself
+            peer.variables["HC_STOP"] = next(looks, "TRUE")
 
-    monkeypatch.setattr(peer, "_read", read)  # a stop that comes by itself
+    peer.on_read = brake
     bed.connect()
     assert peer.variables["HC_ACK"] == "8"
     assert peer.requests.count("write HC_STOP") == 1
@@ -462,15 +456,14 @@ def test_a_stop_from_another_thread_ends_the_motion_as_such(
 ) -> None:
     monkeypatch.setattr(kuka_robot, "STALL_S", 1e6)
     robot.peer.frozen = True
-    original, stops = robot.peer._read, list[threading.Thread]()
+    stops = list[threading.Thread]()
 
-    def read(name: str) -> str | None:
+    def stop(name: str) -> None:
         if name == "$AXIS_ACT" and not stops:  # a read may be answered after the motion ended
             stops.append(threading.Thread(target=robot.stop))
             stops[0].start()
-        return original(name)
 
-    monkeypatch.setattr(robot.peer, "_read", read)
+    robot.peer.on_read = stop
     assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == "HC-B21"
     robot.peer.stopped.wait()
     stops[0].join()  # before the robot is closed

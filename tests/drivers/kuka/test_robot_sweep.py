@@ -159,20 +159,19 @@ def test_the_override_comes_back_only_once_no_axis_moves(
     robot: BedRobot, monkeypatch: pytest.MonkeyPatch, step_deg: float
 ) -> None:
     peer = robot.peer
-    read, write, left, early = peer._read, peer._write, [4], list[int]()
+    write, left, early = peer._write, [4], list[int]()
 
-    def braking(name: str) -> str | None:
+    def brake(name: str) -> None:
         if name == "$AXIS_ACT" and peer.stopped.is_set() and left[0]:
             left[0] -= 1
             peer.axes[0] += step_deg
-        return read(name)
 
     def watched(name: str, value: bytes) -> str:
         if name == "$OV_PRO" and peer.stopped.is_set():
             early.append(left[0])
         return write(name, value)
 
-    monkeypatch.setattr(peer, "_read", braking)
+    peer.on_read = brake
     monkeypatch.setattr(peer, "_write", watched)
     with pytest.raises(NoReading):
         sweep(robot, lose_beam)

@@ -24,7 +24,7 @@ from tests.drivers.leica.emscon_peer import (
     reply,
     result,
 )
-from tests.drivers.peers import Server, in_thread, refusal
+from tests.drivers.peers import Server, in_thread, kind, refusal
 
 
 def test_connecting_sets_everything_and_returns_the_identity(bed: EmsconBed) -> None:
@@ -62,8 +62,7 @@ def test_a_search_radius_that_reads_back_differently_is_refused(
     bed: EmsconBed, found: float
 ) -> None:
     bed.peer.answers[44] = lambda _: [reply(44, struct.pack("<di", found, 10_000))]
-    refused = refusal(bed.make().connect)
-    assert (type(refused), refused.code) == (DeviceRefused, "HC-T06")
+    assert kind(refusal(bed.make().connect)) == (DeviceRefused, "HC-T06")
 
 
 def test_a_search_radius_that_the_tracker_keeps_in_metres_is_the_same(bed: EmsconBed) -> None:
@@ -175,7 +174,7 @@ def test_a_measurement_that_fails_is_stopped_and_no_reading(
 def test_a_bad_result_is_no_reading(tracker: Quick, bad: bytes, code: str) -> None:
     tracker.peer.answers[49] = lambda _: [reply(49), bad]
     error = measuring(tracker)
-    assert (type(error), error.code) == (NoReading, code)
+    assert kind(error) == (NoReading, code)
     assert len(str(error)) < 200
 
 
@@ -513,7 +512,7 @@ def test_a_transformation_that_stretches_lengths_is_refused_while_it_is_in_use(
     tracker = bed.connect()
     bed.peer.settings[48] = struct.pack("<9i", 2, 1, 0, 0, 1, 0, 0, 0, 0)
     error = refusal(tracker.connect)
-    assert (type(error), error.code) == (DeviceRefused, "HC-T06")
+    assert kind(error) == (DeviceRefused, "HC-T06")
     assert "scale" in error.found
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hilcell.ports import Array, DeviceError, NoReading, Stopped, Stream, StreamBlock, Streams
 from tests.drivers.leica.emscon_bed import POINT, SMR, EmsconBed, Quick, punctual
 from tests.drivers.leica.emscon_peer import NOT_READY, READY, EmsconPeer, failure, reply, result
-from tests.drivers.peers import refusal, soon
+from tests.drivers.peers import kind, refusal, soon
 
 STATIONARY, CONTINUOUS = struct.pack("<i", 0), struct.pack("<i", 1)
 PARAMETERS = struct.pack("<4i", 10, 0, 0, 0)  # 10 ms, until stopped
@@ -100,8 +100,7 @@ def test_a_stream_that_fails_is_no_reading_and_restores(
     tracker: Quick, packet: bytes, code: str
 ) -> None:
     tracker.peer.answers[START] = lambda _: [reply(START), READY, FIRST + packet]
-    error = refusal(lambda: fly(tracker))
-    assert (type(error), error.code) == (NoReading, code)
+    assert kind(refusal(lambda: fly(tracker))) == (NoReading, code)
     assert tracker.peer.settings[25] == STATIONARY
     assert tracker.peer.commands[-3:] == [STOP, SET_MODE, 25]
 

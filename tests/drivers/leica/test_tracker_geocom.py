@@ -22,7 +22,7 @@ from drivers.leica import tracker_geocom as geocom
 from drivers.leica.tracker_geocom import LeicaGeocomTracker, Reply, Rpc
 from hilcell.ports import DeviceError, DeviceRefused, NoReading, Stopped, Streams, Tracker
 from tests.drivers.leica.geocom_peer import GeocomPeer
-from tests.drivers.peers import Bed, WireTime, in_thread, refusal
+from tests.drivers.peers import Bed, WireTime, in_thread, kind, refusal
 
 pytestmark = pytest.mark.waits
 
@@ -128,7 +128,7 @@ def test_a_setting_that_does_not_read_back_is_refused(
 ) -> None:
     bed.peer.answers[rpc] = lambda _: answer
     error = refusal(bed.make().connect)
-    assert (type(error), error.code) == (DeviceRefused, "HC-T06")
+    assert kind(error) == (DeviceRefused, "HC-T06")
     assert named in str(error)
 
 
@@ -175,12 +175,11 @@ def test_repeats_aim_again_and_have_their_own_spread(tracker: Quick) -> None:
 def test_repeats_that_spread_are_no_reading(tracker: Quick) -> None:
     distances = iter([5.0, 5.003])
     tracker.peer.answers[2108] = lambda _: f"0,{tracker.peer.pointing},{next(distances):.15f}"
-    error = measuring(tracker, 2)
-    assert (type(error), error.code) == (NoReading, "HC-T15")
+    assert kind(measuring(tracker, 2)) == (NoReading, "HC-T15")
 
 
 @pytest.mark.parametrize(
-    ("rpc", "code", "alarm", "kind"),
+    ("rpc", "code", "alarm", "expected"),
     [
         (2108, 1283, "HC-T50", NoReading),
         (2108, 1284, "HC-T51", NoReading),
@@ -201,12 +200,12 @@ def test_repeats_that_spread_are_no_reading(tracker: Quick) -> None:
     ],
 )
 def test_return_codes_have_their_alarms(
-    tracker: Quick, rpc: int, code: int, alarm: str, kind: type
+    tracker: Quick, rpc: int, code: int, alarm: str, expected: type
 ) -> None:
     # With the values of a good reading: a code is never passed over for them.
     tracker.peer.answers[rpc] = lambda _: f"{code},0.643501108793,1.570796326795,5.0"
     error = measuring(tracker)
-    assert (type(error), error.code, error.fields) == (kind, alarm, {"status": code})
+    assert (type(error), error.code, error.fields) == (expected, alarm, {"status": code})
 
 
 @pytest.mark.parametrize("code", [1283, 1284])
@@ -234,8 +233,7 @@ def test_a_busy_instrument_is_asked_again(tracker: Quick, code: int) -> None:
     assert tracker.measure(POINT, SMR, 1).samples == 1
     assert len(tracker.peer.asked(9037)) == 3
     tracker.peer.answers[9037] = lambda _: str(code)
-    error = measuring(tracker)
-    assert (type(error), error.code) == (NoReading, "HC-T21")
+    assert kind(measuring(tracker)) == (NoReading, "HC-T21")
 
 
 @pytest.mark.parametrize(
@@ -249,8 +247,7 @@ def test_a_result_that_is_no_position_is_no_reading(tracker: Quick, value: str, 
     values = ["0.643501108793284", "1.570796326794897", "5.000000000000000"]
     values[place] = f"{value}.000000000000000" if value.endswith("0" * 300) else value
     tracker.peer.answers[2108] = lambda _: ",".join(["0", *values])
-    error = measuring(tracker)
-    assert (type(error), error.code) == (NoReading, "HC-T14")
+    assert kind(measuring(tracker)) == (NoReading, "HC-T14")
 
 
 @pytest.mark.parametrize("damaged", [
@@ -269,7 +266,7 @@ def test_a_reading_that_has_lost_characters_is_measured_again(bed: GeocomBed, da
     others = itertools.cycle([damaged, "0.64501108793284,1.5707963267948,5.00000000000000"])
     bed.peer.answers[2108] = lambda _: f"0,{next(others)}"
     error = measuring(tracker)
-    assert (type(error), error.code) == (NoReading, "HC-T14")
+    assert kind(error) == (NoReading, "HC-T14")
     assert damaged in error.found
 
 
@@ -293,7 +290,7 @@ def test_one_of_many_repeats_that_is_far_from_the_others_is_in_no_mean(bed: Geoc
     distances = iter([5.0003, 4.995, 5.0, 4.9998])
     bed.peer.answers[2108] = lambda _: f"0,{bed.peer.pointing},{next(distances):.15f}"
     error = measuring(tracker, 4)
-    assert (type(error), error.code) == (NoReading, "HC-T15")
+    assert kind(error) == (NoReading, "HC-T15")
     assert "repeat 2 of 4" in error.found
 
 
@@ -352,8 +349,7 @@ def test_a_result_without_values_is_no_reading_and_the_next_is_good(
 ) -> None:
     good, asked = tracker.peer.answers[2108], iter([True])
     tracker.peer.answers[2108] = lambda text: empty if next(asked, False) else good(text)
-    error = measuring(tracker)
-    assert (type(error), error.code) == (NoReading, "HC-T13")
+    assert kind(measuring(tracker)) == (NoReading, "HC-T13")
     np.testing.assert_allclose(tracker.measure(POINT, SMR, 1).xyz_mm, POINT, atol=1e-6)
 
 
@@ -386,8 +382,7 @@ def test_an_instrument_whose_name_has_the_mark_of_an_arcsecond_connects(
 
 def test_another_reflector_than_the_expected_one_is_no_reading(tracker: Quick) -> None:
     tracker.peer.distance_m = 5.0051
-    error = measuring(tracker)
-    assert (type(error), error.code) == (NoReading, "HC-T16")
+    assert kind(measuring(tracker)) == (NoReading, "HC-T16")
 
 
 # -- the wire -----------------------------------------------------------------------------------
@@ -440,8 +435,7 @@ def test_a_late_result_is_not_the_next_points(tracker: Quick) -> None:
         held.clear()
         return data
 
-    error = measuring(tracker)
-    assert (type(error), error.code) == (NoReading, "HC-T13")
+    assert kind(measuring(tracker)) == (NoReading, "HC-T13")
     late = next(line for line in reversed(peer.requests) if ",2108," in line)
     held.append(
         right(int(late.split(":")[0].split(",")[2]), f"0,{peer.pointing},5.001000000000000")

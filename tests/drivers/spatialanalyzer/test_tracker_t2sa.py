@@ -19,7 +19,7 @@ from drivers.spatialanalyzer import tracker_t2sa as t2sa
 from drivers.spatialanalyzer.tracker_t2sa import Reply, T2saTracker
 from drivers.tracker_readings import matching_form
 from hilcell.ports import DeviceError, DeviceRefused, NoReading, Stopped, Streams, Tracker
-from tests.drivers.peers import Bed, WireTime, in_thread, refusal, wire_time
+from tests.drivers.peers import Bed, WireTime, in_thread, kind, refusal, wire_time
 from tests.drivers.spatialanalyzer.t2sa_peer import POINTS, Answer, T2saPeer
 
 PLACE = np.array([4010.0, -2990.0, 5.0])
@@ -117,8 +117,7 @@ def test_a_bridge_that_says_so_is_simulated(bed: T2saBed) -> None:
 
 def test_an_instrument_that_stays_simulated_is_refused(bed: T2saBed) -> None:
     bed.peer.answers["!SET_SIM"] = lambda _: "ERR-337 Failed to set simulation"
-    error = refusal(bed.make().connect)
-    assert (type(error), error.code) == (DeviceRefused, "HC-T71")
+    assert kind(refusal(bed.make().connect)) == (DeviceRefused, "HC-T71")
 
 
 def test_a_result_that_is_the_nominal_point_was_not_measured(tracker: BedTracker) -> None:
@@ -126,7 +125,7 @@ def test_a_result_that_is_the_nominal_point_was_not_measured(tracker: BedTracker
     error = refusal(
         lambda: tracker.measure(tracker.peer.at_mm, SMR, 1)
     )  # the reflector is expected there
-    assert (type(error), error.code) == (DeviceRefused, "HC-T71")
+    assert kind(error) == (DeviceRefused, "HC-T71")
 
 
 def test_a_cold_laser_is_switched_on_and_awaited(bed: T2saBed) -> None:
@@ -143,8 +142,7 @@ def test_a_laser_that_does_not_come_is_named(
 ) -> None:
     monkeypatch.setattr(t2sa.T2saTracker, "WARM_S", 0.05)
     bed.peer.laser = state
-    error = refusal(bed.make().connect)
-    assert (type(error), error.code) == (DeviceError, code)
+    assert kind(refusal(bed.make().connect)) == (DeviceError, code)
 
 
 @pytest.mark.parametrize(
@@ -154,8 +152,10 @@ def test_a_laser_that_does_not_come_is_named(
 )  # fmt: skip
 def test_a_setting_that_is_refused_is_named(bed: T2saBed, command: str, code: int) -> None:
     bed.peer.answers[command] = lambda _: f"ERR-{code} Failed."
-    error = refusal(bed.make(profile="x", working_frame="y").connect)
-    assert (type(error), error.code) == (DeviceRefused, "HC-T06")
+    assert kind(refusal(bed.make(profile="x", working_frame="y").connect)) == (
+        DeviceRefused,
+        "HC-T06",
+    )
 
 
 @pytest.mark.parametrize(
@@ -171,7 +171,7 @@ def test_a_job_with_other_points_is_refused(
 
     bed.peer.answers["?POINT_POS"] = position
     error = refusal(bed.make().connect)
-    assert (type(error), error.code) == (DeviceRefused, "HC-T73")
+    assert kind(error) == (DeviceRefused, "HC-T73")
     assert words in error.found
 
 
@@ -182,8 +182,7 @@ def test_a_point_that_the_job_lacks_is_named(bed: T2saBed) -> None:
 
 @pytest.mark.parametrize("name", ["", "/nowhere/points.csv"])
 def test_a_list_that_is_missing_is_named_before_anything_is_sent(bed: T2saBed, name: str) -> None:
-    error = refusal(bed.make(points=name).connect)
-    assert (type(error), error.code) == (DeviceRefused, "HC-T75")
+    assert kind(refusal(bed.make(points=name).connect)) == (DeviceRefused, "HC-T75")
     assert not bed.peer.requests
 
 
@@ -194,7 +193,7 @@ def test_a_busy_bridge_is_awaited_and_not_for_ever(bed: T2saBed) -> None:
     for line, alarm in (("ACK-300 2FACE", "T21"), ("ERR-201 busy", "T21"), ("ERR-341 -", "T70")):
         bed.peer.answers["?STAT"] = partial(str.format, line)
         error = refusal(bed.make().connect)
-        assert (type(error), error.code) == (DeviceError, f"HC-{alarm}")
+        assert kind(error) == (DeviceError, f"HC-{alarm}")
     assert not bed.peer.halted.is_set()  # another program's measurement is not ended
 
 
@@ -215,7 +214,7 @@ P1 = "A;HILCELL;P1"
 
 
 @pytest.mark.parametrize(
-    ("lines", "kind", "code"),
+    ("lines", "expected", "code"),
     [
         ([result(P1, PLACE), result(P1, PLACE + [0.2, 0.0, 0.0])], NoReading, "HC-T15"),
         ([result(P1, PLACE + 0.1)], NoReading, "HC-T76"),  # the former result again
@@ -230,18 +229,19 @@ P1 = "A;HILCELL;P1"
     ],
 )  # fmt: skip
 def test_a_bad_result_is_no_reading(
-    tracker: BedTracker, lines: list[str], kind: type, code: str
+    tracker: BedTracker, lines: list[str], expected: type, code: str
 ) -> None:
     answers = iter(lines)
     tracker.peer.answers["!MEAS_SINGLE_POINT"] = lambda _: next(answers, lines[-1])
-    error = measuring(tracker)
-    assert (type(error), error.code) == (kind, code)
+    assert kind(measuring(tracker)) == (expected, code)
 
 
 def test_a_place_beside_every_point_is_refused_before_anything_is_sent(tracker: BedTracker) -> None:
     tracker.peer.requests.clear()
-    error = refusal(lambda: tracker.measure(np.array([1000.0, 2000.0, 0.0]), SMR, 1))
-    assert (type(error), error.code) == (DeviceError, "HC-T74")
+    assert kind(refusal(lambda: tracker.measure(np.array([1000.0, 2000.0, 0.0]), SMR, 1))) == (
+        DeviceError,
+        "HC-T74",
+    )
     assert not tracker.peer.requests
 
 
@@ -256,13 +256,12 @@ def test_another_reflector_is_avoided_by_other_points(tracker: BedTracker) -> No
 
 def test_another_reflector_from_everywhere_is_no_reading(tracker: BedTracker) -> None:
     tracker.peer.at_mm = PLACE + [0.0, 5.1, 0.0]
-    error = measuring(tracker)
-    assert (type(error), error.code) == (NoReading, "HC-T16")
+    assert kind(measuring(tracker)) == (NoReading, "HC-T16")
     assert tracker.peer.asked("!MEAS_SINGLE_POINT") == [f"A;HILCELL;P{n}" for n in (1, 3)]
 
 
 @pytest.mark.parametrize(
-    ("code", "alarm", "kind"),
+    ("code", "alarm", "expected"),
     [
         (200, "HC-T23", DeviceError),
         (305, "HC-T11", NoReading),
@@ -276,10 +275,12 @@ def test_another_reflector_from_everywhere_is_no_reading(tracker: BedTracker) ->
         (399, "HC-T24", DeviceError),
     ],
 )
-def test_codes_have_their_alarms(tracker: BedTracker, code: int, alarm: str, kind: type) -> None:
+def test_codes_have_their_alarms(
+    tracker: BedTracker, code: int, alarm: str, expected: type
+) -> None:
     tracker.peer.answers["!MEAS_SINGLE_POINT"] = lambda _: f"ERR-{code} Failed."
     error = measuring(tracker)
-    assert (type(error), error.code, error.fields) == (kind, alarm, {"status": code})
+    assert (type(error), error.code, error.fields) == (expected, alarm, {"status": code})
 
 
 def test_a_busy_bridge_is_asked_again(tracker: BedTracker) -> None:
@@ -338,8 +339,7 @@ def keeps_silent(peer: T2saPeer, time: WireTime) -> Answer:
 
 def test_a_measurement_without_a_reply_is_halted(tracker: BedTracker) -> None:
     honest = keeps_silent(tracker.peer, tracker.time)
-    error = measuring(tracker)
-    assert (type(error), error.code) == (NoReading, "HC-T13")
+    assert kind(measuring(tracker)) == (NoReading, "HC-T13")
     assert tracker.peer.requests[-2:] == ["!HALT", "?LSTA"]
     tracker.peer.answers["!MEAS_SINGLE_POINT"] = honest
     tracker.measure(PLACE, SMR, 1)

@@ -16,7 +16,7 @@ from drivers.universal_robots.robot_rtde import Release, UrRtdeRobot
 from hilcell.cell.file import load_cell
 from hilcell.clock import WallClock
 from hilcell.ports import DeviceError, DeviceRefused
-from tests.drivers.peers import Server, refusal
+from tests.drivers.peers import Server, kind, refusal
 
 PANEL_GONE = ROBOT.broken("panel", "stop", "the panel has gone")
 LINK_GONE = ROBOT.broken("link", "stop", "the link has gone")
@@ -88,7 +88,7 @@ def test_a_polyscope_that_does_not_have_the_questions_is_too_old(
 ) -> None:
     with panel(answers) as port:
         found = refusal(robot_at(port, model=model, serial="2019350001").connect)
-    assert (type(found), found.code) == (DeviceRefused, "HC-B69")
+    assert kind(found) == (DeviceRefused, "HC-B69")
     assert f"does not tell its {untold}" in found.found
     assert answers.get("PolyscopeVersion", "unknown") in found.found
     assert {"3.12", "5.6"} <= set(found.expected.replace(",", "").split())
