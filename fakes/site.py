@@ -15,7 +15,7 @@ from fakes.faults import Faults
 from fakes.time import CellTime
 from fakes.truth.cell_truth import CellTruth, ReplayTruth
 from fakes.truth.rail_truth import RailTruth
-from hilcell.cell.devices import TABLES, load_entry
+from hilcell.cell.devices import GROUPS, load_entry
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 
@@ -63,7 +63,7 @@ def device_servers(cell: Cell) -> dict[str, Serve]:
     """
     found: dict[str, Serve] = {}
     problems: list[str] = []
-    for table, group in TABLES:
+    for table, group in GROUPS.items():
         driver = getattr(cell, table).driver
         if table == "rail" and not cell.has_rail:
             continue

@@ -18,7 +18,7 @@ import msgspec
 from fakes.replay.dialects import Dialect, dialects_of
 from fakes.replay.player import ClockReadings, EventTime, RecordedWire
 from fakes.time import CountedTime
-from hilcell.cell.devices import TABLES, checked_options, placeholder_addresses
+from hilcell.cell.devices import GROUPS, checked_options, placeholder_addresses
 from hilcell.cell.differences import differences
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, convert
@@ -105,7 +105,7 @@ def _other_cell(cell: Cell, folder: Path, head: RunHeader) -> list[str]:
     if (name := head.cell["name"]) != cell.name:
         what = f"recorded was cell {name!r}, asked was {cell.name!r}"
         return [f"{folder}: {what}; name that one's file"]
-    drivers = {table: head.cell[table]["driver"] for table, _group in TABLES}
+    drivers = {table: head.cell[table]["driver"] for table in GROUPS}
     return [
         f"{folder}: the {table} was recorded with driver {driver!r}, here it is "
         f"{getattr(cell, table).driver!r}; add --set {table}.driver={driver}"
@@ -157,7 +157,7 @@ def _common(cell: Cell) -> Cell:
     """
     tables = {
         table: msgspec.structs.replace(one, options=_figures(one.options))
-        for table, one in ((table, getattr(cell, table)) for table, _group in TABLES)
+        for table, one in ((table, getattr(cell, table)) for table in GROUPS)
     }
     return msgspec.structs.replace(cell, simulation=None, **tables)
 
@@ -191,7 +191,7 @@ class RecordedCell:
         clock = pieces.pop(CLOCK)
         self._looks = ClockReadings(self._time, *clock_readings(clock))
         self._expect_end(paths, clock, pieces)
-        tables = {table: getattr(cell, table) for table, _group in TABLES}
+        tables = {table: getattr(cell, table) for table in GROUPS}
         dialects = {table: dialects_of(one.driver, one.options) for table, one in tables.items()}
         for name, found in pieces.items():
             table, _dot, wire = name.partition(".")

@@ -54,7 +54,7 @@ def _call_mismatch(name: str, call: Callable[..., object], parameters: Iterable[
     return ""
 
 
-TABLES = (("rail", "rails"), ("robot", "robots"), ("tracker", "trackers"))
+GROUPS = {"rail": "rails", "robot": "robots", "tracker": "trackers"}  # of entry points, by table
 PORTS: Mapping[str, type] = {"rails": ports.Rail, "robots": ports.Robot, "trackers": ports.Tracker}
 
 
@@ -148,7 +148,7 @@ def tracker_accuracy(cell: Cell) -> ports.StatesAccuracy | None:
     """Return the tracker's accuracy class, None if its driver has none."""
     anywhere = {} if cell.simulation is None else placeholder_addresses(cell).get("tracker", {})
     try:
-        _, options = driver_options(cell, "tracker", "trackers", anywhere)
+        _, options = driver_options(cell, "tracker", anywhere)
     except SettingsError:
         return None  # reported where the options are checked
     return options if isinstance(options, ports.StatesAccuracy) else None
@@ -172,8 +172,8 @@ def build_devices(
 ) -> Devices:
     """Build the drivers, unopened, ``addresses`` before their options; raises `SettingsError`."""
     built: dict[str, Any] = {}
-    for table, group in TABLES:
-        kind, options = driver_options(cell, table, group, addresses.get(table, {}))
+    for table in GROUPS:
+        kind, options = driver_options(cell, table, addresses.get(table, {}))
         try:
             built[table] = kind(options, clock)
         except HilcellError:
@@ -189,7 +189,7 @@ def build_devices(
 
 
 def driver_options(
-    cell: Cell, table: str, group: str, addresses: Mapping[str, object]
+    cell: Cell, table: str, addresses: Mapping[str, object]
 ) -> tuple[Callable[..., Any], msgspec.Struct]:
     """Return a driver class and its checked options.
 
@@ -197,7 +197,7 @@ def driver_options(
     table's values. Raises `SettingsError`, also if the options repeat such a key.
     """
     shared = getattr(cell, table)
-    kind = load_entry(group, shared.driver)
+    kind = load_entry(GROUPS[table], shared.driver)
     wanted = set(kind.Options.__struct_fields__)
     stated = msgspec.to_builtins(shared)
     problems = [
@@ -221,12 +221,12 @@ def driver_options(
 
 
 def checked_options(
-    cell: Cell, addresses: Mapping[str, Mapping[str, object]], tables: Container[str] = dict(TABLES)
+    cell: Cell, addresses: Mapping[str, Mapping[str, object]], tables: Container[str] = GROUPS
 ) -> dict[str, dict[str, object]]:
     """Return the checked options of drivers as plain values; raises `SettingsError`."""
     return {
-        table: msgspec.to_builtins(driver_options(cell, table, group, addresses.get(table, {}))[1])
-        for table, group in TABLES
+        table: msgspec.to_builtins(driver_options(cell, table, addresses.get(table, {}))[1])
+        for table in GROUPS
         if table in tables
     }
 
@@ -244,7 +244,7 @@ def device_addresses(
 
 def unknown_drivers(drivers: Mapping[str, str]) -> list[str]:
     problems: list[str] = []
-    for table, group in TABLES:
+    for table, group in GROUPS.items():
         try:
             load_entry(group, drivers.get(table, ""))
         except SettingsError as error:
@@ -257,9 +257,9 @@ def check_options(cell: Cell) -> None:
     problems: list[str] = []
     unknown = False
     anywhere = {} if cell.simulation is None else placeholder_addresses(cell)
-    for table, group in TABLES:
+    for table, group in GROUPS.items():
         try:
-            driver_options(cell, table, group, anywhere.get(table, {}))
+            driver_options(cell, table, anywhere.get(table, {}))
         except SettingsError as error:
             key = "driver" if error.source == group else "options"
             unknown = unknown or key == "driver"
@@ -295,7 +295,7 @@ def check_options(cell: Cell) -> None:
 def placeholder_addresses(cell: Cell) -> dict[str, dict[str, object]]:
     """Return an address for each device without one: a simulated cell replaces it."""
     addresses: dict[str, dict[str, object]] = {}
-    for n, (table, group) in enumerate(TABLES, start=1):
+    for n, (table, group) in enumerate(GROUPS.items(), start=1):
         shared = getattr(cell, table)
         try:
             options = load_entry(group, shared.driver).Options
@@ -307,7 +307,7 @@ def placeholder_addresses(cell: Cell) -> dict[str, dict[str, object]]:
         addresses[table] = {key: place for key, place in own_places.items() if key in unstated}
         strip = shared.options.get("strip", {} if "strip" in wanted else None)
         if isinstance(strip, Mapping):
-            other = f"socket://127.0.0.1:{n + len(TABLES)}"  # not the drive's
+            other = f"socket://127.0.0.1:{n + len(GROUPS)}"  # not the drive's
             addresses[table]["strip"] = {"driver": "serial", "channel": other} | dict(strip)
     return addresses
 

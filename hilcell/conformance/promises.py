@@ -14,7 +14,7 @@ from typing import cast
 
 import numpy as np
 
-from hilcell.cell.devices import TABLES
+from hilcell.cell.devices import GROUPS
 from hilcell.cell.file import Cell, load_cell
 from hilcell.conformance.common_promises import PortPromises, WirePromises
 from hilcell.conformance.exercise import PORTS, SPEED_PERCENT, STEP_MM, Port, TrackerUse, worst_deg
@@ -354,9 +354,7 @@ PROMISES = tuple(
     for kind in (PortPromises, RailPromises, RobotPromises, TrackerPromises, WirePromises)
     for promise in kind.listed()
 )
-PORT_OF: dict[str, Port] = {
-    group: port for port in PORTS for table, group in TABLES if table == port
-}
+PORT_OF: dict[str, Port] = {GROUPS[port]: port for port in PORTS}
 
 
 def driver_cell(where: str, port: Port, driver: str, sets: Mapping[str, str]) -> Cell:

@@ -19,13 +19,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from hilcell.cell.devices import (
-    TABLES,
-    checked_options,
-    driver_options,
-    is_robot_driven,
-    start_simulation,
-)
+from hilcell.cell.devices import checked_options, driver_options, is_robot_driven, start_simulation
 from hilcell.cell.file import Cell
 from hilcell.conformance.exercise import PORTS, USES, Driver, Port, Reading
 from hilcell.decoding import Json
@@ -36,7 +30,6 @@ from hilcell.wire.relay import Relays
 Verdict = Literal["held", "broken", "not applicable", "needs a person"]
 POLL_S = 0.02
 SIMULATED_ONLY = "it needs a fault, or may harm: only on simulated devices"
-GROUPS = dict(TABLES)
 
 Settings = tuple[Callable[..., Driver], msgspec.Struct]  # a driver's class and its options
 
@@ -187,8 +180,7 @@ class Bench:
         """Return those of the driver, then of the robot whose external axis its rail is."""
         self._start()
         found = [
-            driver_options(self.cell, table, GROUPS[table], self._wires.options[table])
-            for table in self._tables
+            driver_options(self.cell, table, self._wires.options[table]) for table in self._tables
         ]
         kind, options = found[0]
         return [(self.kind or kind, options), *found[1:]]

@@ -96,14 +96,14 @@ def test_a_whole_driver_is_taken(plant: Callable[..., Cell]) -> None:
 
 
 def test_a_simulator_says_where_its_devices_listen() -> None:
-    _, options = driver_options(load_cell("paper"), "robot", "robots", {"host": "::1", "port": 5})
+    _, options = driver_options(load_cell("paper"), "robot", {"host": "::1", "port": 5})
     values = msgspec.structs.asdict(options)
     assert (values["host"], values["port"]) == ("::1", 5)
 
 
 def test_a_simulated_device_of_another_protocol_is_named() -> None:
     with pytest.raises(SettingsError, match="channel"):
-        driver_options(load_cell("paper"), "robot", "robots", {"channel": "/dev/pts/1"})
+        driver_options(load_cell("paper"), "robot", {"channel": "/dev/pts/1"})
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,7 @@ def server(faults: Faults) -> Iterator[MecaServer]:
 
 
 def robot_at(server: MecaServer, **changed: object) -> Robot:
-    kind, options = driver_options(CELL, "robot", "robots", server.address)
+    kind, options = driver_options(CELL, "robot", server.address)
     built: Robot = kind(msgspec.structs.replace(options, **changed), WallClock(threading.Event()))
     return built
 
