@@ -52,12 +52,10 @@ class Combination:
 
     @property
     def cell(self) -> str:
-        """Return the cell in which the robot works."""
         return CELL_OF.get(self.robot, "paper")
 
     @property
     def settings(self) -> list[str]:
-        """Return the settings that make the cell of it."""
         drivers = [f"{t}.driver={getattr(self, t)}" for t in ("robot", "tracker", "rail")]
         return drivers + (COARSE.get(self.tracker, []) if self.cell == "paper" else [])
 
@@ -76,7 +74,6 @@ def combinations() -> list[Combination]:
 
 
 def row(combination: Combination, runs: str) -> str:
-    """Calibrate, and return the row."""
     words = [*HILCELL, "run", "calibrate", "--cell", combination.cell, "--unattended", "--json"]
     words += ["--runs", runs]
     words += [word for each in combination.settings for word in ("--set", each)]
@@ -115,7 +112,6 @@ def _line(cells: list[str]) -> str:
 
 
 def main() -> None:
-    """Print the table."""
     parser(__doc__).parse_args()
     print(HEAD)
     with tempfile.TemporaryDirectory() as runs:

@@ -26,7 +26,6 @@ AFTER_S = 20.0  # how long the screen is read after its engine's end
 
 
 def never_rests() -> None:
-    """Keep a processor busy."""
     while True:
         pass
 
@@ -60,7 +59,6 @@ def late_s(runs: Path) -> float:
 
 
 def main() -> None:
-    """Measure alone and beside the busy processes."""
     words = parser(__doc__)
     words.add_argument("busy", nargs="?", type=int, default=8, metavar="BUSY")
     busy = words.parse_args().busy

@@ -90,7 +90,6 @@ def declares(module: Module) -> set[str]:
 
 
 def gauges() -> list[tuple[str, str]]:
-    """Return each gauge and its figure."""
     product = modules()
     core = [module for module in product if module.room in CORE]
     lines = sum(module.lines for module in product)

@@ -39,7 +39,6 @@ WORDS = f"paper state:faulted {datetime.now(UTC):%Y}- -operator:eve"
 
 
 def write_journal(path: Path, operator: str, *, faulted: bool) -> None:
-    """Write a small run's journal."""
     cell = {"name": "paper", "serial": "P-1", "grid": {"station": "S1100"}}
     plan = {
         "procedure": "calibrate",

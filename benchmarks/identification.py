@@ -62,7 +62,6 @@ def measured(kinematics: Kinematics, poses: int) -> tuple[Readings, State]:
 
 
 def by_differences(kinematics: Kinematics, readings: Readings, start: State) -> Array:
-    """Return the parameters by scipy's least_squares."""
     mean, covariance = kinematics.prior
     sigma = np.sqrt(np.diag(covariance))
 
@@ -75,7 +74,6 @@ def by_differences(kinematics: Kinematics, readings: Readings, start: State) -> 
 
 
 def by_pybotics(python: str, readings: Readings) -> float:
-    """Return the seconds that pybotics takes."""
     with tempfile.NamedTemporaryFile(suffix=".npz") as file:
         np.savez(
             file.name, joints=readings.joints_rad, xyz_mm=readings.xyz_mm[:, 0], a=ARM.a_mm,
@@ -86,7 +84,6 @@ def by_pybotics(python: str, readings: Readings) -> float:
 
 
 def main() -> None:
-    """Print times and their ratios."""
     words = parser(__doc__)
     words.add_argument("python", nargs="?", metavar="PYTHON")
     python = words.parse_args().python

@@ -84,7 +84,6 @@ FROM (SELECT month, digest, begun FROM run ORDER BY month, digest) AS run,
 
 
 def fill(connection: Connection, runs: int) -> None:
-    """Make the records of a plant."""
     places_mm = np.random.default_rng(1).uniform(0.0, 900.0, (VERTICES, 3)).tolist()
     common = RunRow(
         name="@name@", begun="@t@", ended="@t@", state="finished", exit=0, cell="c", serial="s"

@@ -103,7 +103,6 @@ def dated(source: Path, place: Path, began: datetime) -> None:
 
 
 def shown(url: str) -> dict[str, Any]:
-    """Return what the records say."""
     found: dict[str, Any] = json.loads(command("plant", "show", "--from", url, "--json").stdout)
     return found
 

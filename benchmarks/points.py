@@ -33,7 +33,6 @@ def with_points(count: int) -> SampleRun:
 
 
 def measure(story: SampleRun) -> None:
-    """Measure one more corrected target."""
     number = len(story.records)
     id = PointId("validate", station="S1100", how="chosen", number=number)
     story.point(id, (1100.0, 0.1 * number, 400.0), (0.0, 0.1, 0.01))

@@ -46,7 +46,6 @@ class StandIn(Recorder):
 
 
 def write_run(runs: Path, state: str) -> Path:
-    """Write the journal of a run in a state."""
     folder = runs / RUN
     folder.mkdir(parents=True)
     journal = Journal(folder / JOURNAL, RUN, create=True)
@@ -167,7 +166,6 @@ def processor(folder: Path, speed: int) -> None:
 
 
 def main() -> None:
-    """Measure everything."""
     parser(__doc__).parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -154,7 +154,6 @@ def running(
 
 
 def plan_of(cell: Cell, name: str) -> PlanRecord:
-    """Return what a run begins with."""
     return PlanRecord(
         procedure=name,
         cell=msgspec.to_builtins(cell),

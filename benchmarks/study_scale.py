@@ -54,7 +54,6 @@ high = 0.6
 
 
 def empty(cell: bytes, machine: int, seed: int, wanted: Mapping[str, str]) -> dict[str, Any]:
-    """Return a row at once."""
     figures = dict.fromkeys(RESULTS, 0.05 + 0.001 * machine + 1e-6 * (len(cell) % 100))
     return {"state": "done", "reason": "", "minutes": 20.0} | figures | {"targets": 50.0}
 
@@ -66,7 +65,6 @@ def peak_mib(pid: int) -> float:
 
 
 def processor_s(pid: int) -> float:
-    """Return the processor time of a process so far."""
     fields = Path(f"/proc/{pid}/stat").read_text("ascii").rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 

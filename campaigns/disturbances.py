@@ -223,7 +223,6 @@ def _true_means_mm(
 
 
 def case(seed: int) -> Case:
-    """Run one case."""
     disturbance, undisturbed = drawn(seed), calibrated(seed)
     last = max((n for n, key in enumerate(undisturbed.keys) if key.startswith(CLOSING)), default=0)
     keys = undisturbed.keys[:last]

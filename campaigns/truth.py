@@ -37,7 +37,6 @@ class Truth:
 
 
 def machine(cell: Cell, seed: int) -> Truth:
-    """Return the undisturbed machine of a seed."""
     return Truth(CellTruth(cell, seed, CellTime(), Faults()))
 
 

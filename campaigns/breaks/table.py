@@ -56,7 +56,6 @@ def _check_test(test: str, root: Path) -> None:
 
 
 def breaks(rows: Path = ROWS) -> list[Break]:
-    """Return the breaks of all rooms."""
     return [
         Break(**row | {"tests": tuple(row["tests"])})
         for file in sorted(rows.glob("*.toml"))

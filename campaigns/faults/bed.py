@@ -69,16 +69,13 @@ class Bed:
 
     @property
     def run(self) -> Path:
-        """Return the run's folder."""
         return self.folder / RUN
 
     @property
     def journal(self) -> Path:
-        """Return the run's journal."""
         return self.run / JOURNAL
 
     def start(self, hear: Callable[[Event], None]) -> None:
-        """Run the procedure."""
         values = (
             (SMALL if self.procedure == "calibrate" else SMALL | QUICK)
             | {"simulation.address": self.cell.address}
@@ -88,7 +85,6 @@ class Bed:
         self._perform(words, hear)
 
     def resume(self, hear: Callable[[Event], None] = lambda event: None) -> None:
-        """Resume the run."""
         self._perform(["resume", RUN], hear)
 
     def order(self, what: Command) -> str:
@@ -100,7 +96,6 @@ class Bed:
         return ""
 
     def order_soon(self, what: Command) -> None:
-        """Give an order a little later, from a thread of its own."""
         timer = threading.Timer(PROCEED_S, self.order, (what,))
         timer.daemon = True
         timer.start()

@@ -21,7 +21,6 @@ AT_ONCE = 2  # a driver often waits for an answer that does not come
 
 
 def cases(numbers: Sequence[int] = (), phases: Sequence[Phase] = tuple(Phase)) -> Iterator[Case]:
-    """Yield each case that applies."""
     for fault in FAULTS:
         if numbers and fault.number not in numbers:
             continue
@@ -32,7 +31,6 @@ def cases(numbers: Sequence[int] = (), phases: Sequence[Phase] = tuple(Phase)) -
 
 
 def fault_of(number: int) -> Fault:
-    """Return a row of the table."""
     return next(fault for fault in FAULTS if fault.number == number)
 
 

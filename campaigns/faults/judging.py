@@ -48,7 +48,6 @@ class Judged:
 
 
 def judged(fault: Fault, case: Case, ran: Ran, undisturbed: Ran) -> Judged:
-    """Judge one case."""
     struck = ran.exits[ran.session - 1]
     letter = _letter(ran, struck)
     code = _code(ran) if letter in "SXJ" else ""

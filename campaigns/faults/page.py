@@ -24,7 +24,6 @@ result, and the resume after the cause is removed.
 
 
 def page(found: Mapping[Case, Judged]) -> str:
-    """Return the page."""
     head = ["#", "fault", "reaction wanted", *(phase.value for phase in Phase)]
     rows = [head, ["---"] * len(head), *(_row(fault, found) for fault in FAULTS)]
     table = "\n".join(f"| {' | '.join(row)} |" for row in rows)

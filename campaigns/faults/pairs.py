@@ -41,7 +41,6 @@ class Pair:
 
     @property
     def text(self) -> str:
-        """Return the pair in words."""
         parts = zip(self.injections, self.moments, strict=True)
         return ", ".join(f"{each.text} at record {moment}" for each, moment in parts)
 
@@ -56,7 +55,6 @@ class Verdict:
 
 
 def pair_of(seed: int) -> Pair:
-    """Draw a pair."""
     chance = random.Random(seed)
     known = [each for fault in FAULTS for each in fault.injections if type(each) in (Knob, Wire)]
     chosen = tuple(_varied(chance.choice(known), chance) for _ in range(2))

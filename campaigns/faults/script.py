@@ -63,7 +63,6 @@ def limited(limit_s: int) -> Iterator[None]:
 
 
 def play(case: Case) -> Ran:
-    """Run one case."""
     injection = case.injection
     with _bed(case.procedure, (injection,)) as bed:
         script = _Script(bed, case)
@@ -92,7 +91,6 @@ def play_struck(
 
 @contextmanager
 def _bed(procedure: str, injections: Sequence[Injection]) -> Iterator[Bed]:
-    """Prepare a run on a new cell."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="faults-")))
         proxied = any(each.proxied for each in injections)

@@ -71,7 +71,6 @@ def fuzzed(budget: Budget, name: str) -> Fuzzed:
 
 
 def read_output(name: str, by: str, code: int, said: str) -> Fuzzed:
-    """Return what a fuzzer's output says."""
     ended = _DONE.findall(said)
     inputs, seconds = map(int, ended[-1]) if ended else (0, 0)
     covered = _COVERED.findall(said)

@@ -80,7 +80,6 @@ class Parser:
 
 @cache
 def folder() -> tempfile.TemporaryDirectory[str]:
-    """Return a folder of this process."""
     return tempfile.TemporaryDirectory(prefix="fuzz-")
 
 

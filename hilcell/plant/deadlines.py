@@ -8,7 +8,7 @@ may take hours, a silent server must accept a second connection.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from typing import Any
 
 import psycopg
@@ -45,11 +45,32 @@ class Bounded(psycopg.Connection[TupleRow]):
     def wait(self, gen: Waiting, *args: Any, **options: Any) -> Any:
         """Wait as psycopg does, and close the connection after a long silence."""
         try:
-            watched = _watched(gen, ORDER_S + SLACK_S, self.order_s + SLACK_S, self._answers)
-            return super().wait(watched, *args, **options)
+            return super().wait(self._watched(gen), *args, **options)
         except Silent:
             self.pgconn.finish()  # a rollback would wait as long again
             raise
+
+    def _watched(self, gen: Waiting) -> Waiting:
+        """Pass psycopg's generator through; raise `Silent` after too long without an event, or
+        earlier if the server does not answer otherwise.
+        """
+        quiet_s, most_s = ORDER_S + SLACK_S, self.order_s + SLACK_S
+        ready_s = alive_s = time.monotonic()
+        try:
+            awaited = next(gen)
+            while True:
+                ready = yield awaited
+                now_s = time.monotonic()
+                if ready:
+                    ready_s = alive_s = now_s
+                elif not now_s - alive_s < quiet_s:
+                    if not (now_s - ready_s < most_s and self._answers()):
+                        silent_s = time.monotonic() - ready_s
+                        raise Silent(f"no answer for {silent_s:.1f} s: the server is frozen")
+                    alive_s = time.monotonic()
+                awaited = gen.send(ready)
+        except StopIteration as end:
+            return end.value
 
     def _answers(self) -> bool:
         """Whether the server answers a second connection, also by a refusal."""
@@ -87,25 +108,3 @@ def limit(connection: Connection, order_s: float) -> None:
     }
     sets = (f"set_config('{name}', '{at * 1000:.0f}', true)" for name, at in limits_s.items())
     connection.execute(sql(f"SELECT {', '.join(sets)}"))
-
-
-def _watched(gen: Waiting, quiet_s: float, most_s: float, answers: Callable[[], bool]) -> Waiting:
-    """Pass psycopg's generator through; raise `Silent` after ``most_s`` without an event, or after
-    ``quiet_s`` if the server does not answer otherwise.
-    """
-    ready_s = alive_s = time.monotonic()
-    try:
-        awaited = next(gen)
-        while True:
-            ready = yield awaited
-            now_s = time.monotonic()
-            if ready:
-                ready_s = alive_s = now_s
-            elif not now_s - alive_s < quiet_s:
-                if not (now_s - ready_s < most_s and answers()):
-                    silent_s = time.monotonic() - ready_s
-                    raise Silent(f"no answer for {silent_s:.1f} s: the server is frozen")
-                alive_s = time.monotonic()
-            awaited = gen.send(ready)
-    except StopIteration as end:
-        return end.value

@@ -89,7 +89,6 @@ def judge(events: Iterable[dict[str, Any]]) -> list[str]:
 
 
 def record_of(event: dict[str, Any]) -> Record:
-    """Return the record that an event was printed from."""
     head = ("run", "seq", "t", "kind")  # the rest is the record's body, and its key
     body = {name: value for name, value in event.items() if name not in head}
     key = "" if event["kind"] == "event" else body.pop("key", "")  # an event's is in its body
@@ -107,7 +106,6 @@ def sweep(*values: object) -> list[ParameterSet]:
 
 
 def hilcell(*words: str | Path, limit_s: float = LIMIT_S) -> subprocess.CompletedProcess[str]:
-    """Run a command to its end."""
     return subprocess.run(
         [*HILCELL, *map(str, words)], capture_output=True, text=True, timeout=limit_s, check=False
     )
@@ -201,7 +199,6 @@ def ran(
 def corrected(
     calibration: str | Path, targets: Path, station: str, out: Path, *words: str | Path
 ) -> subprocess.CompletedProcess[str]:
-    """Correct a list or a program by a calibration."""
     return command("compensate", calibration, targets, "--station", station, "-o", out, *words)
 
 
@@ -309,7 +306,6 @@ class Simulation:
         return shop_values(at["rail"]["channel"], at["robot"]["port"], at["tracker"]["port"])
 
     def strike(self, name: str, value: object = True, **more: object) -> None:
-        """Let a fault strike."""
         assert self.ask(do="fault", name=name, value=value, **more)["ok"]
 
     def ask(self, **request: object) -> dict[str, Any]:

@@ -17,7 +17,6 @@ def paper(request: pytest.FixtureRequest, golden: GoldenRuns) -> GoldenRun:
 
 @pytest.fixture
 def own_cell(monkeypatch: pytest.MonkeyPatch) -> OwnCell:
-    """Return the simulated cell of the run that is made next."""
     cell = OwnCell()
     monkeypatch.setattr("hilcell.run.engine.start_simulation", cell.start)
     return cell

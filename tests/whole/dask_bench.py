@@ -48,7 +48,6 @@ class Dask:
 
     @property
     def named(self) -> str:
-        """Return the address of a worker."""
         return next(each.split()[-1] for each in self.lines if "Start worker at" in each)
 
     def kill(self) -> None:

@@ -25,7 +25,6 @@ class Outputs:
 
     @contextmanager
     def to(self, out: TextIO, err: TextIO) -> Iterator[None]:
-        """Have this thread write to these."""
         mine = threading.get_ident()
         with self._lock:
             if not self._by_thread:
@@ -43,7 +42,6 @@ class Outputs:
                     sys.stdout, sys.stderr = self._before
 
     def here(self) -> Pair:
-        """Return what this thread writes to."""
         with self._lock:
             first = next(iter(self._by_thread.values()), [self._before])
             return self._by_thread.get(threading.get_ident(), first)[-1]

@@ -57,7 +57,6 @@ def facts(folder: Path) -> dict[str, Any]:
 
 
 def procedure(pair: str) -> str:
-    """Return what a recorded run has performed."""
     return "axis-sweeps" if pair == SWEPT else "base-frame"
 
 
@@ -71,7 +70,6 @@ def curves(folder: Path) -> list[float]:
 
 
 def places_mm(folder: Path) -> list[float]:
-    """Return where drive and strip had the slide at all points."""
     points = read_log(folder).points
     return [
         mm for point in points.values() for mm in (point.rail_mm, point.strip_mm) if mm is not None
@@ -79,7 +77,6 @@ def places_mm(folder: Path) -> list[float]:
 
 
 def joints_deg(folder: Path) -> list[float]:
-    """Return the joints of all points that the robot had a part in."""
     points = read_log(folder).points
     return [deg for point in points.values() for deg in point.joints_deg or ()]
 

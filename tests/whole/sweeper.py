@@ -71,7 +71,6 @@ class Engine:
         )
 
     def stop_all(self) -> None:
-        """Stop as an operator does."""
         self.stop.set()
         self.safe_stop.trigger()
 

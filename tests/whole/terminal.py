@@ -71,13 +71,11 @@ class Terminal:
 
     @property
     def text(self) -> str:
-        """Return what is seen."""
         across = range(self.screen.columns)  # pyte's own lines break on a wide letter half gone
         rows = (self.screen.buffer[y] for y in range(self.screen.lines))
         return "\n".join("".join(row[x].data for x in across).rstrip() for row in rows)
 
     def press(self, keys: str) -> None:
-        """Type."""
         os.write(self._end, keys.encode())
 
     def answer(self, keys: str) -> None:
@@ -98,7 +96,6 @@ class Terminal:
         return read
 
     def show(self, read: bytes) -> None:
-        """Show what was read."""
         self._stream.feed(read)
 
     def pump(self, wait_s: float | None = None) -> bool:
@@ -115,12 +112,10 @@ class Terminal:
                 raise EOFError(f"the program has ended; the screen shows\n{self.text}")
 
     def shows(self, *words: str) -> None:
-        """Wait until the screen shows all these words."""
         self.until(lambda text: all(each in text for each in words))
 
     @property
     def ended(self) -> bool:
-        """Whether the program has ended."""
         return self.process.poll() is not None
 
     def ends(self) -> int:
@@ -136,7 +131,6 @@ class Terminal:
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def close(self) -> None:
-        """End the program and the terminal."""
         if not self.ended:
             self.process.send_signal(signal.SIGKILL)
             self.process.wait()

@@ -59,7 +59,6 @@ def test_a_universal_robot_and_a_total_station(tmp_path: Path) -> None:
 
 
 def check_programs(runs: Path) -> None:
-    """Correct a program by the lab's calibration, and write one for holes."""
     (folder,) = runs.glob("*/calibration.json")
     T_W_B = np.array(read_calibration(folder).stations["S750"].T_W_B)
     T_B_T = pose_from_zyx(700.0, 0.0, 420.0, -90.0, 0.0, -160.0)

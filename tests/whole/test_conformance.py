@@ -88,7 +88,6 @@ class Attended:
         self._home = len(self._sent())
 
     def pauses(self) -> Event:
-        """Let the run go on until it is paused, and return that event."""
         return self._run.until(lambda event: is_state(event, "paused"))
 
     @property
@@ -97,7 +96,6 @@ class Attended:
 
     @property
     def announced(self) -> str:
-        """The motion that waits for the word."""
         events = [event for event in self._run.events if event.get("what") == "announced"]
         return str(events[-1]["motion"])
 
@@ -124,7 +122,6 @@ def at_terminal(patched: pytest.MonkeyPatch, word: str | None) -> None:
 
 
 def answered(folder: Path, word: str | None, monkeypatch: pytest.MonkeyPatch) -> int:
-    """Return the exit code of `hilcell resume`."""
     with monkeypatch.context() as patched:
         at_terminal(patched, word)
         return main(["resume", folder.name, "--runs", str(folder.parent)])

@@ -44,7 +44,6 @@ def struck(cell: Simulation | OwnCell, fault: str, value: float, key: str, words
 
 
 def run(cell: Simulation, runs: Path, procedure: str = "calibrate", **more: str) -> Words:
-    """Return the words of an unattended run on a simulated cell."""
     values = sets(SMALL | more | {"simulation.address": cell.control})
     return ("run", procedure, "--unattended", "--runs", runs, "--name", "x", *values)
 

@@ -91,7 +91,6 @@ class Limited:
         self.verdicts: dict[str, Verdict] = {}
 
     def judge(self, key: str, verdict: Verdict) -> None:
-        """Keep a verdict instead of journalling it."""
         self.verdicts[key] = verdict
 
 

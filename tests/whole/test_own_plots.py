@@ -28,14 +28,12 @@ def view_of(run: Ran) -> RunView:
 
 
 def page(of: Measured, tab: int = 0) -> str:
-    """Return the page of plots on a terminal of 120 columns."""
     lines = plot_lines(of, Choice(tab=tab), 119, 26, LOOK)
     assert max(line.cell_length for line in lines) <= 119
     return "\n".join(line.plain for line in lines)
 
 
 def beside(view: RunView) -> str:
-    """Return the map and the plot of a wide terminal."""
     rows = [row_of(view.log, point) for point in view.log.points.values()]
     lines, _ = side_lines(view, rows, 58, 42, LOOK)
     return "\n".join(line.plain for line in lines)

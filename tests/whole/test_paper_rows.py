@@ -62,7 +62,6 @@ def failing(log: Log) -> set[str]:
 
 
 def fails(name: str, log: Log) -> bool:
-    """Whether one row fails, judged on this log alone."""
     return not BY_NAME[name].judged(log, PaperRows.experiments(log)).holds
 
 
@@ -120,7 +119,6 @@ def by_idw(log: Log) -> Callable[[Array], Array]:
 
 
 def judged(name: str, paper: GoldenRun) -> PaperRow:
-    """Return one row, judged as if the run's result were unchanged."""
     return BY_NAME[name].judged(paper.log, typed(paper.result, Experiments))
 
 

@@ -56,7 +56,6 @@ def keep(app: HilcellApp, name: str) -> None:
 
 
 def shown(app: HilcellApp) -> str:
-    """Return what the terminal shows."""
     strips = app.screen._compositor.render_strips()
     return "\n".join("".join(segment.text for segment in strip) for strip in strips)
 
@@ -77,14 +76,12 @@ async def screen(runs: Path, run: str, size: tuple[int, int]) -> AsyncIterator[P
 
 
 def app_of(pilot: Pilot[int]) -> HilcellApp:
-    """Return the application."""
     assert isinstance(pilot.app, HilcellApp)
     return pilot.app
 
 
 @asynccontextmanager
 async def engine(runs: Path, *words: str) -> AsyncIterator[None]:
-    """Have a run under way."""
     order = [*HILCELL, "run", *words, "--runs", str(runs)]
     process = subprocess.Popen(order, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:

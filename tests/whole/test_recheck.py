@@ -107,7 +107,6 @@ def test_a_dry_run_has_ten_points(golden: GoldenRuns, tmp_path: Path) -> None:
 
 
 def six_targets(path: Path) -> Path:
-    """Write a list of targets in the volume."""
     rows = [f"H{n},{-200 + 80 * n},{300 - 90 * n},{1000 + 70 * n},0,75,0" for n in range(6)]
     path.write_text(HEAD + "\n".join(rows) + "\n")
     return path

@@ -60,7 +60,6 @@ def to_procedure(name: str) -> str:
 
 
 def cell_folder(runs: Path) -> Path:
-    """Return the only run."""
     (folder,) = run_folders(runs)
     return folder
 
@@ -74,7 +73,6 @@ def state_of(folder: Path) -> str:
 
 
 def judged(folder: Path) -> list[str]:
-    """Return the invariants that a run's journal breaks."""
     return judge(record.event(folder.name) for record in read_journal(folder / JOURNAL))
 
 

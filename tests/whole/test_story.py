@@ -87,7 +87,6 @@ def test_the_whole_story(tmp_path: Path) -> None:
 
 
 def assert_prepared(folder: Path) -> None:
-    """Assert that every station has its program, with corrected points."""
     for station in ("S300", "S1100", "S1900"):
         assert "DEF " + station in (folder / "programs" / f"{station}.src").read_text("cp1252")
     assert (folder / "programs" / "sheet.html").stat().st_size > 10_000

@@ -200,7 +200,6 @@ def _begun(workers: cluster.Workers, folder: Path) -> Iterator[tuple[Case, CaseR
 
 
 def _many(folder: Path) -> Iterator[tuple[Case, bytes]]:
-    """Return the cases of a long study."""
     asked = study(folder, READINGS, "machines = 99")
     return ((case, encode_cell(study_cell(asked, case.point.values))) for case in cases(asked))
 

@@ -14,7 +14,6 @@ NOT_INSTALLED = "a cluster's package, which `make test` does not install"
 def script(
     name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: str
 ) -> str:
-    """Run a script to its end; return what it printed."""
     monkeypatch.setattr(sys, "argv", [name, *words.split()])
     with pytest.raises(SystemExit, match="0"):
         runpy.run_path(f"docs/examples/{name}.py", run_name="__main__")

@@ -64,13 +64,11 @@ def test_a_whole_calibration_with_the_uncertainty_of_a_total_station(
 
 
 def median_std_mm(folder: Path) -> float:
-    """Return the median uncertainty of a run's points."""
     stds_mm = np.array([point.std_mm for point in read_log(folder).points.values()])
     return float(np.median(np.linalg.norm(stds_mm, axis=1)))
 
 
 def suspected(runs: Path, values: dict[str, str], *words: str) -> list[dict[str, Any]]:
-    """Return what a calibration with a total station suspects."""
     run = ran(runs, "calibrate", values, *words)
     assert run.end["state"] == "finished", run.end
     suspicions: list[dict[str, Any]] = run.result["suspicions"]

@@ -29,7 +29,6 @@ KILLED = "kuka-c3,leica-emscon,canopen-swept"
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a recorded run."""
     runs = tmp_path_factory.mktemp("runs")
     done = command("run", RAN, "--unattended", "--record-wire", "--runs", runs, "--name", "whole")
     assert done.returncode == 0, done.stderr
@@ -49,7 +48,6 @@ def recorded(whole: Path, tmp_path: Path) -> Path:
 def replayed(
     folder: Path, *words: str, run: str = RAN, runs: Path | None = None
 ) -> CompletedProcess[str]:
-    """Run against a recording."""
     where = ("--runs", folder.parent / "replays" if runs is None else runs, "--name", "again")
     return command("run", run, *words, *sets(played(folder)), "--unattended", *where)
 
@@ -67,7 +65,6 @@ def lines_of(path: Path) -> list[bytes]:
 
 
 def fault(folder: Path) -> dict[str, Any]:
-    """Return the error that ended a run."""
     end = read_log(folder).end
     assert end is not None
     return end.error

@@ -125,7 +125,6 @@ def refused(bench: Bench, **options: Any) -> str:
 
 
 def works(bench: Bench) -> None:
-    """Connect and move."""
     robot = bench.robot()
     robot.connect()
     assert robot.move_to(TARGET, 100.0).still

@@ -49,7 +49,6 @@ class ThreadedRun:
 
     @property
     def folder(self) -> Path:
-        """Return the run's folder."""
         return self.runs / str(self.events[0]["run"])
 
     def until(self, wanted: Callable[[Event], object]) -> Event:
@@ -100,5 +99,4 @@ def never(_: Event) -> bool:
 
 
 def is_state(event: Event, name: str) -> bool:
-    """Whether a run has come to a state."""
     return bool(event["kind"] == "state" and event["machine"] == "run" and event["to"] == name)

@@ -56,7 +56,6 @@ class Axis:
         return float(low), float(high)
 
     def streams(self) -> tuple[SweepStream, SweepStream]:
-        """Return the sweeps upwards and downwards."""
         return self.stream(1.0), self.stream(-1.0)
 
     def stream(self, side: float) -> SweepStream:

@@ -42,7 +42,6 @@ class Robot:
 
     @classmethod
     def drawn(cls, kinematics: Kinematics, seed: int) -> "Robot":
-        """Draw a robot with errors of the prior's size."""
         rng = np.random.default_rng(seed)
         mean, covariance = kinematics.prior
         placed = kinematics.placed
@@ -52,7 +51,6 @@ class Robot:
         )
 
     def joints_rad(self, seed: int, poses: int, spread_rad: float = 0.6) -> Array:
-        """Draw joints (M, 6)."""
         rng = np.random.default_rng(seed)
         return MIDDLE_RAD + rng.uniform(-spread_rad, spread_rad, (poses, 6))
 

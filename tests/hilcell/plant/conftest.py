@@ -29,13 +29,11 @@ def refused(*words: str | Path, code: int = 2) -> str:
 
 @pytest.fixture(scope="session")
 def model(golden: GoldenRuns) -> Model:
-    """Return the run that journals are made of."""
     return Model(golden["small"].folder)
 
 
 @pytest.fixture
 def runs(model: Model, tmp_path: Path) -> Path:
-    """Return a folder of two runs of a cell, of two months."""
     for name, days in (("a", 60), ("b", 20)):
         model.write(tmp_path / "runs", Run(name, "north", "HC-1", NOW - days * DAY))
     return tmp_path / "runs"
@@ -43,7 +41,6 @@ def runs(model: Model, tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def blank(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return an office's database that holds nothing yet."""
     file = tmp_path_factory.mktemp("office") / "plant.db"
     with closing(Database(f"sqlite:///{file}")) as database:
         database.create()
@@ -52,7 +49,6 @@ def blank(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def office(blank: Path, tmp_path: Path) -> Iterator[Database]:
-    """Return an office's database, a file."""
     shutil.copy(blank, tmp_path / "plant.db")
     with closing(Database(f"sqlite:///{tmp_path}/plant.db")) as database:
         yield database

@@ -26,7 +26,6 @@ BLANK = "blank"  # a database with the plant's tables, of which others are copie
 
 
 def program(name: str) -> str | None:
-    """Return where a program of PostgreSQL is."""
     return shutil.which(name, path=PLACES)
 
 
@@ -47,11 +46,9 @@ class Server:
         self._data = folder / "data"
 
     def init(self) -> None:
-        """Make its data."""
         self._do("initdb", "-D", self._data, "-U", "owner", "-A", "trust", "-N", "-E", "UTF8")
 
     def start(self) -> None:
-        """Start it, and wait until it takes connections."""
         options = f"-k {self._folder} -c listen_addresses= "
         options += " ".join(f"-c {setting}" for setting in self._settings)
         log = self._folder / "log"
@@ -84,7 +81,6 @@ class Server:
         return (self._data / "postmaster.pid").exists()
 
     def stop(self) -> None:
-        """End it, if it runs."""
         if self.runs:
             self._do("pg_ctl", "stop", "-m", "immediate", "-D", self._data)
 
@@ -96,7 +92,6 @@ class Server:
             connection.execute("SELECT pg_reload_conf()")
 
     def url(self, database: str = "postgres", user: str = "owner") -> str:
-        """Return the URL of one of its databases."""
         return f"postgresql://{user}@/{database}?host={self._folder}"
 
     def make(self, database: str = "", like: str = "template1") -> str:
@@ -123,14 +118,12 @@ class Server:
         assert done.returncode == 0, f"{log.read_text()}\n{self.log()}"
 
     def log(self) -> str:
-        """Return what it has logged."""
         log = self._folder / "log"
         return log.read_text() if log.exists() else ""
 
 
 @contextmanager
 def server(settings: tuple[str, ...] = FAST) -> Iterator[Server]:
-    """Run a server in a folder of its own."""
     with tempfile.TemporaryDirectory(prefix="hilcell-plant-") as folder:
         found = Server(Path(folder), settings)
         found.init()

@@ -103,14 +103,12 @@ def first(golden: GoldenRuns, tmp_path_factory: pytest.TempPathFactory) -> Audit
 
 @pytest.fixture
 def empty(first: Auditor, tmp_path: Path) -> Auditor:
-    """Return an auditor who has nothing yet."""
     shutil.copy(first.folder / "plant.db", tmp_path)
     return Auditor(tmp_path, first.signer)
 
 
 @pytest.fixture
 def auditor(first: Auditor, empty: Auditor) -> Auditor:
-    """Return an auditor who has the record of the cell."""
     shutil.copytree(first.out, empty.out)
     return empty
 

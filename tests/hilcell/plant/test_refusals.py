@@ -32,7 +32,6 @@ def said(*words: str | Path, code: int = 2) -> str:
 
 
 def asked(act: str, runs: Path, url: str) -> list[str]:
-    """Return the words of a command that asks a database."""
     folder = [str(runs)] if act == "ship" else []
     return [act, *folder, "--from" if act == "show" else "--to", url]
 
@@ -47,7 +46,6 @@ def filed(tmp_path: Path, *orders: str, name: str = "plant.db") -> tuple[Path, s
 
 
 def nowhere() -> int:
-    """Return a port at which nobody listens."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         return int(free.getsockname()[1])
@@ -194,10 +192,10 @@ def test_a_folder_that_is_none_of_runs_is_refused(
     for folder in (runs / "a", tmp_path / "rusn"):
         assert str(folder) in said("ship", folder, *to)
     (tmp_path / "none").mkdir()
-    assert (
-        str(tmp_path / "none")
-        in command("plant", "ship", tmp_path / "none", "--to", office.name).stderr
-    )
+    assert str(tmp_path / "none") in command("plant", "ship", tmp_path / "none", *to).stderr
+    (tmp_path / "file").touch()
+    assert command("plant", "ship", tmp_path / "file", *to).returncode == 2
+    assert command("runs", "--runs", tmp_path / "file").returncode == 2
 
 
 @pytest.mark.parametrize("act", ACTS)

@@ -47,7 +47,6 @@ def three(model: Model, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def runs(three: Path, tmp_path: Path) -> Path:
-    """Return a copy of them."""
     return Path(shutil.copytree(three, tmp_path / "runs"))
 
 
@@ -73,13 +72,6 @@ def live(folder: Path) -> Iterator[None]:
         (folder / ENGINE).write_bytes(file)
         yield
         (folder / ENGINE).unlink()
-
-
-def test_a_file_is_no_folder_of_runs(office: Database, tmp_path: Path) -> None:
-    place = tmp_path / "file"
-    place.touch()
-    assert command("plant", "ship", place, "--to", office.name).returncode == 2
-    assert command("runs", "--runs", place).returncode == 2
 
 
 def test_a_run_that_has_lost_its_journal_is_named(runs: Path, office: Database) -> None:

@@ -69,7 +69,6 @@ def asked(url: str, *words: str) -> dict[str, Any]:
 
 
 def asked_after(url: str, *folders: Path) -> dict[str, Any]:
-    """Ship folders of runs, and ask of all."""
     for folder in folders:
         assert command("plant", "ship", folder, "--to", url).returncode == 0
     return asked(url)

@@ -133,7 +133,6 @@ def write_journal(folder: Path, rows: Sequence[tuple[datetime, Any, str, dict[st
 
 
 def extend(folder: Path, rows: Sequence[tuple[datetime, Any, str, dict[str, Any]]]) -> Path:
-    """Write more records to a journal."""
     base = sqlite3.connect(folder / JOURNAL)
     seq, before = base.execute("SELECT seq, hash FROM record ORDER BY seq DESC").fetchone() or (
         0,
@@ -150,7 +149,6 @@ def extend(folder: Path, rows: Sequence[tuple[datetime, Any, str, dict[str, Any]
 
 
 def revoke(folder: Path, when: datetime) -> None:
-    """Write that a run's calibration was revoked."""
     event = {"what": "calibration revoked", "reason": "bumped", "operator": "Ann"}
     extend(folder, [(when, "event", "", event)])
 

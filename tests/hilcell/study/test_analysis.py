@@ -47,7 +47,6 @@ def rows(asked: Study, error_mm: Callable[[Case], float]) -> list[Row]:
 
 
 def ended(row: Row, state: str, reason: str) -> Row:
-    """Return a row of a case that has no result."""
     none = dict.fromkeys(row.figures)
     return replace(row, state=state, reason=reason, minutes=None, figures=none)
 

@@ -69,11 +69,6 @@ def test_a_sobol_design_fills_its_ranges(tmp_path: Path) -> None:
         assert each.minutes == (30.0 if sweep.value else 0.0)
 
 
-def test_the_same_file_gives_the_same_list(tmp_path: Path) -> None:
-    one, other = (list(cases(study(tmp_path, RANGES, SOBOL))) for _ in range(2))
-    assert one == other
-
-
 MANY = 'design = "sobol"\nsamples = 512\nmachines = 1'
 
 

@@ -28,7 +28,6 @@ NO_PITCH = TWO_FACTORS.replace("grid.centre.x_mm", "grid.pitch_mm").replace("385
 
 
 def found(case: Case, cell: Cell) -> CaseResult:
-    """The number of the case, by a worker that has its cell."""
     assert cell.name == "paper"
     figures = {"mean_mm": case.number / 1000.0, "covered": 0.95, "targets": 50.0}
     return CaseResult("done", "", 10.0, figures)

@@ -43,7 +43,6 @@ def best(asked: Study, results: Results) -> dict[str, object]:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Results:
-    """Return the results of a search that came to its end."""
     folder = tmp_path_factory.mktemp("search")
     results = Results(folder / "r", study(folder, FACTORS, HEAD))
     performed(results, Bench(truth))

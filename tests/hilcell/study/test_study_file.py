@@ -58,14 +58,11 @@ def test_a_study_is_read(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_the_shipped_examples_are_sound(path: Path) -> None:
+    assert len(EXAMPLES) == 3
     asked = read_study(path)
     assert asked.name == path.stem
     for point in points(asked):
         assert study_cell(asked, point.values).name == "paper"
-
-
-def test_there_are_three_examples() -> None:
-    assert len(EXAMPLES) == 3
 
 
 def test_settings_reach_the_cell(tmp_path: Path) -> None:
