@@ -248,16 +248,8 @@ def other_rows(file: Path) -> None:
     change(file, "UPDATE run SET row = CAST('{\"name\": 5}' AS BLOB)")
 
 
-def no_table(file: Path) -> None:
-    change(file, "DROP TABLE run")
-
-
 def other_version(file: Path) -> None:
     change(file, "DROP TABLE run", "CREATE TABLE run (a, b)", "PRAGMA user_version = 77")
-
-
-def empty(file: Path) -> None:
-    file.write_bytes(b"")
 
 
 def change(file: Path, *commands: str) -> None:
@@ -267,16 +259,7 @@ def change(file: Path, *commands: str) -> None:
     base.close()
 
 
-@pytest.mark.parametrize(
-    "harm",
-    [
-        garbage,
-        torn,
-        other_rows,
-        other_version,
-        Path.unlink,
-    ],
-)
+@pytest.mark.parametrize("harm", [garbage, torn, other_rows, other_version, Path.unlink])
 def test_a_damaged_index_is_made_again(runs: Path, opened: Opened, harm: Any) -> None:
     rows = read_index(runs)
     harm(runs / NAME)

@@ -26,16 +26,22 @@ def test_the_machine_has_a_seed_of_its_own_or_the_runs(words: list[str], wanted:
     assert run_plan.machine_seed(load_cell("paper"), found.seed, found.machine_seed) == wanted
 
 
-def test_a_resumed_run_has_the_machine_that_it_began_with(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    started: list[int] = []
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Return the seeds of the machines that were to be started; none is."""
+    seeds: list[int] = []
 
     def start(*_: object, seed: int, **__: object) -> None:
-        started.append(seed)
+        seeds.append(seed)
         raise DeviceError("HC-C18", "Simulated cell", "start", "not here")
 
     monkeypatch.setattr("hilcell.run.engine.start_simulation", start)
+    return seeds
+
+
+def test_a_resumed_run_has_the_machine_that_it_began_with(
+    tmp_path: Path, started: list[int]
+) -> None:
     words = ["--machine-seed", "5", "--seed", "2", "--name", "R", "--runs", str(tmp_path)]
     assert main(["run", "home", *words]) == 3
     assert main(["resume", "R", "--runs", str(tmp_path)]) == 3
@@ -44,33 +50,20 @@ def test_a_resumed_run_has_the_machine_that_it_began_with(
     assert (inputs.seed, inputs.machine_seed) == (2, 5)
 
 
+@pytest.mark.usefixtures("started")
 @pytest.mark.parametrize("address", ["", "127.0.0.1:9"])
 def test_a_machine_that_this_run_did_not_start_has_no_seed_in_the_record(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, address: str
 ) -> None:
-    def start(*_: object, **__: object) -> None:
-        raise DeviceError("HC-C18", "Simulated cell", "start", "not here")
-
     def real(*_: object) -> Cell:
         return msgspec.structs.replace(load_cell("paper"), simulation=None, name="n", serial="s")
 
-    monkeypatch.setattr("hilcell.run.engine.start_simulation", start)
     if not address:
         monkeypatch.setattr("hilcell.cell.file.load_cell", real)
     words = ["--name", "R", "--runs", str(tmp_path), f"--set=simulation.address={address}"]
     assert main(["run", "home", *words]) == 3
     inputs = read_log(tmp_path / "R").inputs
     assert (inputs.seed, inputs.machine_seed) == (1, None)
-
-
-@pytest.mark.parametrize("option", ["--machine-seed", "--speed"])
-def test_a_cell_that_runs_already_has_its_machine_and_its_pace(
-    option: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ["run", "home", option, "3", "--dry-run"]
-    assert main(words) == 0
-    assert main([*words, "--set=simulation.address=127.0.0.1:9"]) == 2
-    assert option in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", ["run", "sim"])

@@ -115,9 +115,13 @@ class Bed:
     def states(self) -> list[str]:
         return [r.body["to"] for r in self.records("state") if r.body["machine"] == "run"]
 
+    def entered(self, state: str) -> list[dict[str, Any]]:
+        """Return the records by which the run came to a state."""
+        return [r.body for r in self.records("state") if r.body["to"] == state]
+
     def asked(self) -> list[dict[str, Any]]:
         """Return what suspended the run."""
-        return [r.body for r in self.records("state") if r.body["to"] == "suspended"]
+        return self.entered("suspended")
 
     def events(self, what: str) -> list[dict[str, Any]]:
         return [record.body for record in self.log().events if record.body["what"] == what]

@@ -570,7 +570,7 @@ def test_an_attended_run_pauses_before_the_first_of_them(tmp_path: Path) -> None
         live.runner.post("proceed")
         until(lambda: live.code == 0)
     assert bed.robot.speeds == [USUAL] * 2 + [SLOW] * 4
-    (paused,) = [r.body for r in bed.records("state") if r.body["to"] == "paused"]
+    (paused,) = bed.entered("paused")
     assert "a pose" in paused["reason"]
 
 

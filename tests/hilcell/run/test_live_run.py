@@ -200,7 +200,7 @@ def test_a_lost_screen_pauses_an_attended_run(attended: Bed) -> None:
         live.until("state", "paused")
         live.runner.post("lost")  # nothing more to pause
         live.runner.post("stop")
-    paused = [r.body for r in attended.records("state") if r.body["to"] == "paused"]
+    paused = attended.entered("paused")
     assert [body["reason"] for body in paused] == ["the screen was lost"]
     assert len(attended.events("screen lost")) == 2
 

@@ -70,7 +70,7 @@ def test_a_lasting_break_asks_and_goes_on_when_the_reflector_is_seen(bed: Bed) -
         assert live.status("prompt") is None
     assert live.code == 0
     assert bed.states() == ["checking", "running", "suspended", "running", "finished"]
-    suspended = next(r.body for r in bed.records("state") if r.body["to"] == "suspended")
+    (suspended,) = bed.asked()
     assert suspended["error"]["code"] == "HC-T10"
     assert suspended["error"]["operation"] == "measure p/0"
     assert suspended["prompt"]["place"] == "F1"

@@ -442,7 +442,7 @@ def test_an_attended_run_pauses_and_goes_on_once_the_strip_is_right(bed: Bed, sl
         slide.off_mm = 0.0
         live.runner.post("proceed")
     assert live.code == 0, bed.log().fault
-    (paused,) = (r.body for r in bed.records("state") if r.body["to"] == "paused")
+    (paused,) = bed.entered("paused")
     assert "+1.000 mm" in paused["reason"]
 
 

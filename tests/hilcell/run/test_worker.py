@@ -237,7 +237,7 @@ def test_a_screen_that_never_attends_is_a_lost_one(bed: Bed) -> None:
         live.until("state", "finished")
         screen.close()
     assert live.code == 0
-    (paused,) = (r.body for r in bed.records("state") if r.body["to"] == "paused")
+    (paused,) = bed.entered("paused")
     assert "screen" in paused["reason"]
     told = [r.body["what"] for r in bed.log().events if "screen" in r.body["what"]]
     assert told == ["screen lost", "screen back"]
