@@ -212,7 +212,7 @@ def risen_nest(log: Log) -> Suspicion | None:
     d = frame_change(before.base.T, now)
     up = log.matrix("world")[:3, :3].T[:, 2]  # of {W}, in the tracker's frame
     columns = [world_motion(log, now[:3, 3], nest, up) for nest in range(FLOOR_NESTS)]
-    heights_mm, sigmas_mm = np.array([_fitted(d, covariance, each) for each in columns]).T
+    heights_mm, sigmas_mm = np.array([_height(d, covariance, each) for each in columns]).T
     nest = int(np.argmax(np.abs(heights_mm / sigmas_mm)))
     explained = (heights_mm[nest] / sigmas_mm[nest]) ** 2
     left = float(d @ np.linalg.solve(covariance, d)) - explained
@@ -226,7 +226,7 @@ def risen_nest(log: Log) -> Suspicion | None:
     return Suspicion(Cause.NEST_MOVED, float(heights_mm[nest]), f"mm of {name}", noticed_by)
 
 
-def _fitted(d: Array, covariance: Array, column: Array) -> tuple[float, float]:
+def _height(d: Array, covariance: Array, column: Array) -> tuple[float, float]:
     """Height by generalised least squares, and its standard uncertainty."""
     weighted = np.linalg.solve(covariance, column)
     information = float(weighted @ column)

@@ -104,7 +104,7 @@ def fitting(arm: Arm, joints_rad: Array, pose: Array) -> dict[str, float]:
     fits = []
     fitted = (*range(24), *range(30, 33))  # of `PARAMETERS` those that a cell file has
     for column in fitted:
-        other, step = _fitted(arm, joints_rad, pose, column)
+        other, step = _best_fit(arm, joints_rad, pose, column)
         left = deviation(other, joints_rad, pose)
         if left.holds:
             fits.append((left.off_mm, *_named(column, step)))
@@ -112,7 +112,7 @@ def fitting(arm: Arm, joints_rad: Array, pose: Array) -> dict[str, float]:
     return {name: by for _, name, by in sorted(fits)[:listed]}
 
 
-def _fitted(arm: Arm, joints_rad: Array, pose: Array, column: int) -> tuple[Arm, float]:
+def _best_fit(arm: Arm, joints_rad: Array, pose: Array, column: int) -> tuple[Arm, float]:
     """The arm with one parameter changed so that its pose fits best, and the change."""
     scale = np.array([1.0] * 3 + [1000.0] * 3)  # an angle acts over a metre
     other, step = arm, 0.0

@@ -102,14 +102,14 @@ def orientation_tolerance_deg(cell: Cell, method: str) -> float:
 
 
 def calibration_so_far(log: Log, run: str) -> Calibration | None:
-    return log.once(calibration_from_log, run) if _fitted(log) else None
+    return log.once(calibration_from_log, run) if _has_model(log) else None
 
 
 def learnt_so_far(log: Log) -> Calibration | None:
-    return calibration_from_log(log, "") if _fitted(log) else None
+    return calibration_from_log(log, "") if _has_model(log) else None
 
 
-def _fitted(log: Log) -> bool:
+def _has_model(log: Log) -> bool:
     expected = {"base", *(f"station.{station.name}" for station in log.cell.station)}
     return expected <= log.frames.keys() and "fit" in log.verdicts
 
@@ -125,15 +125,15 @@ def calibration_after(log: Log, run: str) -> Calibration:
     if log.verdict(Fitted) is not None:
         return calibration_from_log(log, run)
     if (touched := log.verdict(Touched)) is not None:
-        return _touched(used_calibration(log), log, run, touched.station)
+        return _with_touched_base(used_calibration(log), log, run, touched.station)
     if log.verdict(Judged, "targets") is not None:
         targets = MeasuredTargets(log)
         update = Update(run, "targets", written_now(), len(targets.points))
-        return _updated(targets.updated(run), update)
-    return _rebased(used_calibration(log), RecheckErrors.of_run(log).judgement(), run)
+        return _with_update(targets.updated(run), update)
+    return _with_moved_base(used_calibration(log), RecheckErrors.of_run(log).judgement(), run)
 
 
-def _rebased(calibration: Calibration, found: Judgement, run: str) -> Calibration:
+def _with_moved_base(calibration: Calibration, found: Judgement, run: str) -> Calibration:
     stations = {
         name: msgspec.structs.replace(entry, T_W_B=(np.array(entry.T_W_B) @ found.base).tolist())
         for name, entry in calibration.stations.items()
@@ -147,10 +147,10 @@ def _rebased(calibration: Calibration, found: Judgement, run: str) -> Calibratio
         line = Influence(base_update, MEASURED, how, "4.2.2", "base", moved_frame(found.covariance))
         lines = [each for each in uncertainty.lines if each.name != base_update]
         uncertainty = msgspec.structs.replace(uncertainty, lines=[*lines, line])
-    return _updated(calibration, update, stations=stations, uncertainty=uncertainty)
+    return _with_update(calibration, update, stations=stations, uncertainty=uncertainty)
 
 
-def _touched(calibration: Calibration, log: Log, run: str, name: str) -> Calibration:
+def _with_touched_base(calibration: Calibration, log: Log, run: str, name: str) -> Calibration:
     frame, entry = log.frame(TouchedBase, f"touch.{name}"), calibration.stations[name]
     entry = msgspec.structs.replace(entry, T_W_B=frame.matrix)
     update = Update(run, "touch", written_now(), frame.poses)
@@ -159,10 +159,10 @@ def _touched(calibration: Calibration, log: Log, run: str, name: str) -> Calibra
     if not uncertainty.missing and line is not None:
         placed = uncertainty.stations | {name: [msgspec.structs.replace(line, applies="always")]}
         uncertainty = msgspec.structs.replace(uncertainty, stations=placed)
-    return _updated(calibration, update, stations=stations, uncertainty=uncertainty)
+    return _with_update(calibration, update, stations=stations, uncertainty=uncertainty)
 
 
-def _updated(calibration: Calibration, update: Update, **changes: object) -> Calibration:
+def _with_update(calibration: Calibration, update: Update, **changes: object) -> Calibration:
     made, replace = calibration.provenance, msgspec.structs.replace
     after = replace(made, written=update.written, updates=[*made.updates, update])
     return replace(calibration, provenance=after, **changes)

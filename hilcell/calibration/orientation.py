@@ -13,6 +13,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain, combinations, pairwise
+from typing import Self
 
 import numpy as np
 
@@ -62,6 +63,24 @@ class OrientationErrors:
     reading_rad2: Array
     per_mm2_rad2: Array
 
+    @classmethod
+    def of_poses(cls, log: Log, poses: Sequence[Sequence[Point]], seats: Array) -> Self:
+        """Errors of poses; each has its reflectors, the tool point first."""
+        known = [each[0] for each in poses]
+        if not known:
+            return cls([], np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3, 3)))
+        T_W_L = log.matrix("world")
+        seen_mm = np.stack([apply(T_W_L, positions_mm(each)) for each in poses])
+        own_mm2 = np.stack([covariances_mm2(each, T_W_L[:3, :3]) for each in poses])
+        R = orientations(seats, seen_mm)
+        levers = rotation_levers(seats, R)
+        nominal = from_zyx(np.array([point.nominal_deg for point in known], dtype=float))
+        reading_rad2, per_mm2_rad2 = (
+            np.sum(levers @ each @ np.swapaxes(levers, -1, -2), axis=1)
+            for each in (own_mm2, np.eye(3))
+        )
+        return cls(known, to_rotvec(R @ np.swapaxes(nominal, 1, 2)), reading_rad2, per_mm2_rad2)
+
     def __len__(self) -> int:
         return len(self.points)
 
@@ -94,11 +113,13 @@ def seats_of(log: Log) -> Array | None:
 
 def last_orientation_errors(log: Log, points: Sequence[Point], seats: Array) -> OrientationErrors:
     """Last errors of tool points with a nominal orientation, all reflectors measured."""
-    return _turned(log, [times[-1] for times in _times(log, points, len(seats))], seats)
+    return OrientationErrors.of_poses(
+        log, [times[-1] for times in _times(log, points, len(seats))], seats
+    )
 
 
 def repeated_orientation_errors(log: Log, point: Point, seats: Array) -> OrientationErrors:
-    return _turned(log, [*chain(*_times(log, [point], len(seats)))], seats)
+    return OrientationErrors.of_poses(log, [*chain(*_times(log, [point], len(seats)))], seats)
 
 
 def largest_orientation_errors(
@@ -106,7 +127,7 @@ def largest_orientation_errors(
 ) -> OrientationErrors:
     """Each target's largest measured error; otherwise as `last_orientation_errors`."""
     measured = _times(log, points, len(seats))
-    every = _turned(log, [*chain(*measured)], seats)
+    every = OrientationErrors.of_poses(log, [*chain(*measured)], seats)
     ends, angles_deg = np.cumsum([0, *map(len, measured)]), every.angles_deg
     chosen = [begin + int(np.argmax(angles_deg[begin:end])) for begin, end in pairwise(ends)]
     return OrientationErrors(
@@ -128,25 +149,6 @@ def _times(log: Log, points: Sequence[Point], count: int) -> list[list[list[Poin
         times = range(max(map(len, seen)))
         found.append([[each[min(n, len(each) - 1)] for each in seen] for n in times])
     return found
-
-
-def _turned(log: Log, poses: Sequence[Sequence[Point]], seats: Array) -> OrientationErrors:
-    """Errors of poses; each has its reflectors, the tool point first."""
-    known = [each[0] for each in poses]
-    if not known:
-        return OrientationErrors([], np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3, 3)))
-    T_W_L = log.matrix("world")
-    seen_mm = np.stack([apply(T_W_L, positions_mm(each)) for each in poses])
-    own_mm2 = np.stack([covariances_mm2(each, T_W_L[:3, :3]) for each in poses])
-    R = orientations(seats, seen_mm)
-    levers = rotation_levers(seats, R)
-    nominal = from_zyx(np.array([point.nominal_deg for point in known], dtype=float))
-    reading_rad2, per_mm2_rad2 = (
-        np.sum(levers @ each @ np.swapaxes(levers, -1, -2), axis=1) for each in (own_mm2, np.eye(3))
-    )
-    return OrientationErrors(
-        known, to_rotvec(R @ np.swapaxes(nominal, 1, 2)), reading_rad2, per_mm2_rad2
-    )
 
 
 def validated_orientation_errors(

@@ -83,7 +83,7 @@ class Placement:
 def place(arm: Arm, rows: Measurements) -> Placement:
     """Estimate base and reflectors by Gauss-Newton with soft-L1 weights; raises `FitError`."""
     try:
-        placement, step = _placed(arm, rows)
+        placement, step = _estimate(arm, rows)
     except FrameError as error:
         fitting = next(_fitting(arm, rows, ABSURD_MM / EXPLAINED, np.median), None)
         act = CHECK_ROBOT if fitting is None else f"they fit if {fitting}"
@@ -125,7 +125,7 @@ def _fitting(
     """Yield corrections that explain rows off by ``size_mm``, the likeliest first."""
     for says, changed in _suppositions(rows):
         with suppress(HilcellError):
-            left_mm = float(of(_placed(arm, changed)[0].miss_mm(changed)))
+            left_mm = float(of(_estimate(arm, changed)[0].miss_mm(changed)))
             if left_mm <= min(EXPLAINED * size_mm, ABSURD_MM):
                 yield says
 
@@ -164,7 +164,7 @@ def _suppositions(rows: Measurements) -> Iterator[tuple[str, Measurements]]:
         yield says, replace(rows, joints_rad=shifted[number])
 
 
-def _placed(arm: Arm, rows: Measurements) -> tuple[Placement, float]:
+def _estimate(arm: Arm, rows: Measurements) -> tuple[Placement, float]:
     """Base and reflectors, and the size of the last step."""
     targets = sorted(set(rows.target))
     least = 3 + len(targets)
