@@ -127,7 +127,7 @@ def whole_parser() -> Parser:
 
 
 def _add(parser: Parser, commands: Commands) -> None:
-    subparsers = parser.add_commands()
+    parser.commands = subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
     for name, (signature, function) in commands.items():
         text = signature.__doc__ or ""
         short = text[0].lower() + text[1:].rstrip(".")

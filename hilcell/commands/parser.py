@@ -37,10 +37,6 @@ class Parser(argparse.ArgumentParser):
         self.commands: argparse._SubParsersAction[Parser] | None = None
         self.groups: Mapping[str, Iterable[str]] = {}  # names of commands by title, for the help
 
-    def add_commands(self) -> argparse._SubParsersAction[Parser]:
-        self.commands = self.add_subparsers(metavar="COMMAND", required=True)
-        return self.commands
-
     def fill(self) -> Parser:
         """Return the parser with its arguments, added lazily: a process parses one command."""
         signature, self._signature = self._signature, None

@@ -53,8 +53,7 @@ if TYPE_CHECKING:
 class RunOutput:
     """Receives every durable record of a run; this base class prints nothing."""
 
-    def __init__(self, *, as_json: bool) -> None:
-        self.as_json = as_json
+    def __init__(self) -> None:
         self._closed = False
         self.lost: NotPrinted | None = None  # why data are missing on stdout
 
@@ -88,7 +87,7 @@ class JsonOutput(RunOutput):
     """Prints every record as one line of JSON on stdout."""
 
     def __init__(self, run: str) -> None:
-        super().__init__(as_json=True)
+        super().__init__()
         self._run = run
 
     def print_record(self, record: Record) -> None:
@@ -133,7 +132,7 @@ class ProgressOutput(RunOutput):
     """Draws a progress bar on stderr."""
 
     def __init__(self, folder: Path, points: int) -> None:
-        super().__init__(as_json=False)
+        super().__init__()
         self._folder, self._progress = folder, progress_bar()
         self._console = self._progress.console
         self._planned, self._measured = points, set[str]()
@@ -197,7 +196,7 @@ def print_end(
     """Print the end of a run: its table on stdout, everything else on stderr."""
     if fault is not None:
         print_error(fault)
-    if output.as_json:
+    if isinstance(output, JsonOutput):
         return
     if isinstance(fault, DeviceError):
         for each in fault.causes.values() or [fault]:

@@ -300,9 +300,11 @@ class FirstPage:
         names = ", ".join(stations[:most])
         more = f" and {len(stations) - most} more" if len(stations) > most else ""
         parties = cell.certificate
+        laboratory = parties.laboratory, parties.laboratory_address
+        customer = parties.customer, parties.customer_address
         return [
-            Fact("Laboratory", _party(parties.laboratory, parties.laboratory_address)),
-            Fact("Customer", _party(parties.customer, parties.customer_address)),
+            Fact("Laboratory", ", ".join(filter(None, laboratory))),
+            Fact("Customer", ", ".join(filter(None, customer))),
             Fact("Run", self.facts.run),
             Fact("Job", self.facts.inputs.job),
             Fact("Cell", f"{cell.name}, serial {cell.serial}"),
@@ -409,10 +411,6 @@ def max_stations(cell: Cell) -> int:
 Judgement = Outcome | Literal["revoked", "unfinished", "suspected", "failed check", "not judged"]
 
 
-def _party(name: str, address: str) -> str:
-    return f"{name}, {address}" if name and address else name or address
-
-
 @dataclass(frozen=True, slots=True)
 class Instrument:
     """A measuring instrument; serial number and certificate are "" where they are not stated."""
@@ -442,13 +440,6 @@ class Item:
     part: str = "certificate"
 
 
-def _stands(cell: Cell) -> str:
-    if not cell.has_rail:
-        return "on the floor, without a rail"
-    travel_mm = cell.rail.travel_max_mm - cell.rail.travel_min_mm
-    return f"{len(cell.station)} stations on a rail of {travel_mm:g} mm"
-
-
 def _uncertainty(budget: Budget | None, targets: TargetBudget) -> str:
     if budget is None:
         return "not evaluated: this run measured no position in {W}"
@@ -472,17 +463,19 @@ class Certificate:
         facts = self.facts
         inputs, cell, robot = facts.inputs, facts.cell, facts.asset("robot")
         measured_air = bool(facts.log.temperatures_c())
+        travel_mm = cell.rail.travel_max_mm - cell.rail.travel_min_mm
+        stands = f"{len(cell.station)} stations on a rail of {travel_mm:g} mm"
+        stands = stands if cell.has_rail else "on the floor, without a rail"
         kinds = ("tracker", "strip")
         devices = [f"{each.text} ({each.kind})" for each in facts.log.assets if each.kind in kinds]
         serial = "" if robot is None else f", serial {robot.serial}"
         begun = in_zone(facts.records[0].t, facts.zone).date().isoformat()
         dates = facts.date if begun == facts.date else f"{begun} to {facts.date}"
-        results, results_part = "none: nothing was measured", "stations"
+        results_part = "poses" if is_pose_test(facts) else "stations"
+        results = "none: nothing was measured"
         if facts.log.points:
             air = ", temperatures °C" if measured_air else ""
             results = f"the tables of this report; lengths mm, angles °{air}"
-        if is_pose_test(facts):
-            results_part = "poses"
         deviations = [f"a calibration was used although {why}" for why in inputs.accepted]
         deviations += PoseReport(facts).departures()
         revoked = f"REVOKED: {facts.revoked}; " if facts.revoked else ""
@@ -496,7 +489,7 @@ class Certificate:
             Item("7.8.2.1 e", "Job", inputs.job),
             Item("7.8.2.1 f", "Method", self.method(), "uncertainty"),
             Item("7.8.2.1 g", "Item", f"cell {cell.name}, serial {cell.serial}; robot "
-                 f"{cell.robot.name}{serial}; {_stands(cell)}"),
+                 f"{cell.robot.name}{serial}; {stands}"),
             Item("7.8.2.1 g, h", "Condition of the item, date of receipt"),
             Item("7.8.2.1 i", "Date of measurement", dates),
             Item("7.8.2.1 j", "Date of issue"),

@@ -14,6 +14,7 @@ from hilcell.cell.devices import ConnectFailed, load_entry
 from hilcell.commands import control
 from hilcell.commands.cli import main
 from hilcell.commands.run_output import (
+    JsonOutput,
     ProgressOutput,
     RunOutput,
     failure_text,
@@ -42,7 +43,8 @@ STRANGE = DeviceError("XY-1", "Tracker", "measure", "no answer")
 def end_of(folder: Path, fault: Exception | None = None, *, as_json: bool = False) -> None:
     """Print the end of a run as its command does."""
     procedure = load_entry("procedures", "home")
-    print_end(folder, read_log(folder), procedure, RunOutput(as_json=as_json), fault)
+    output = JsonOutput(folder.name) if as_json else RunOutput()
+    print_end(folder, read_log(folder), procedure, output, fault)
 
 
 @pytest.mark.parametrize(
