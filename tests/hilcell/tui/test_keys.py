@@ -84,60 +84,41 @@ def test_the_defaults_have_no_conflict_and_are_keys() -> None:
     assert conflicts(DEFAULTS) == []
     assert all(is_key(key) for keys in DEFAULTS.values() for key in keys)
     assert len(BY_NAME) == len(ACTIONS)
-
-
-def test_no_default_hangs_on_a_function_key() -> None:
-    for action in ACTIONS:
+    for action in ACTIONS:  # none hangs on a function key
         assert any(not (key[:1] == "f" and key[1:].isdigit()) for key in action.keys), action.name
-
-
-def test_the_keys_that_were_promised() -> None:
     promised = {
         "pause": "space", "stop": "escape", "abort": "a", "retake": "r", "history": "h", "log": "l",
         "plots": "p", "interlocks": "i", "help": "question_mark", "detach": "d",
     }  # fmt: skip
-    for name, key in promised.items():
-        assert key in DEFAULTS[name]
-
-
-def test_without_a_file_the_defaults_stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
-    assert default_file() == tmp_path / "hilcell" / "keys.toml"
-    assert load_keys(None) == DEFAULTS
+    assert all(key in DEFAULTS[name] for name, key in promised.items())
 
 
 def test_the_default_file_is_read_where_it_exists(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.delenv("XDG_CONFIG_HOME", raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert default_file() == tmp_path / ".config" / "hilcell" / "keys.toml"
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    assert default_file() == tmp_path / "hilcell" / "keys.toml"
+    assert load_keys(None) == DEFAULTS
     default_file().parent.mkdir()
     default_file().write_text('[keys]\nhistory = "H"\n')
     assert load_keys(None) == DEFAULTS | {"history": ("H",)}
 
 
-def test_without_a_configuration_folder_it_is_looked_for_at_home(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("XDG_CONFIG_HOME", raising=False)
-    monkeypatch.setenv("HOME", str(tmp_path))
-    assert default_file() == tmp_path / ".config" / "hilcell" / "keys.toml"
-
-
-def test_a_key_or_several(tmp_path: Path) -> None:
-    found = load(tmp_path, '[keys]\nhistory = ["H", "ctrl+y"]\nlog = "L"\n')
-    assert found["history"] == ("H", "ctrl+y")
-    assert found["log"] == ("L",)
-    assert found["pause"] == DEFAULTS["pause"]
-
-
-def test_two_actions_may_swap_their_keys(tmp_path: Path) -> None:
-    found = load(tmp_path, '[keys]\nlog = "h"\nhistory = "l"\n')
-    assert (found["log"], found["history"]) == (("h",), ("l",))
-
-
-def test_escape_stops_whatever_the_file_says(tmp_path: Path) -> None:
-    assert load(tmp_path, '[keys]\nstop = "s"\n')["stop"] == ("s", ESCAPE)
-    assert load(tmp_path, '[keys]\nstop = ["escape", "s"]\n')["stop"] == (ESCAPE, "s")
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ('history = ["H", "ctrl+y"]\nlog = "L"', {"history": ("H", "ctrl+y"), "log": ("L",)}),
+        ('log = "h"\nhistory = "l"', {"log": ("h",), "history": ("l",)}),  # they swap
+        ('log = ["f5", "L"]', {"log": ("f5", "L")}),
+        ('stop = "s"', {"stop": ("s", ESCAPE)}),  # Esc stops whatever the file says
+        ('stop = ["escape", "s"]', {"stop": (ESCAPE, "s")}),
+    ],
+)
+def test_a_file_rebinds_keys(tmp_path: Path, text: str, wanted: Keymap) -> None:
+    assert load(tmp_path, f"[keys]\n{text}\n") == DEFAULTS | wanted
 
 
 @pytest.mark.parametrize(
@@ -167,10 +148,6 @@ def test_escape_stops_whatever_the_file_says(tmp_path: Path) -> None:
 def test_a_refusal_names_the_problem(tmp_path: Path, text: str | bytes, tokens: list[str]) -> None:
     problems = file_problems(tmp_path, text)
     assert [token for token in tokens if token not in problems] == []
-
-
-def test_a_function_key_beside_another_is_welcome(tmp_path: Path) -> None:
-    assert load(tmp_path, '[keys]\nlog = ["f5", "L"]')["log"] == ("f5", "L")
 
 
 def test_a_file_that_was_named_must_be_there(tmp_path: Path) -> None:
@@ -213,17 +190,8 @@ def test_fixed_keys_cannot_be_taken() -> None:
 
 
 def test_named_keys_are_named_as_the_terminal_library_names_them() -> None:
-    known = {key.value for key in Keys} | {
-        "slash",
-        "question_mark",
-        "comma",
-        "full_stop",
-        "minus",
-        "plus",
-        "semicolon",
-        "colon",
-    }
-    assert set(NAMED) <= known | {"space"}
+    signs = "slash question_mark comma full_stop minus plus semicolon colon space"
+    assert set(NAMED) <= {key.value for key in Keys} | {*signs.split()}
 
 
 def test_keys_are_printed_shortly() -> None:
@@ -284,20 +252,12 @@ def values(app: RecordingApp) -> dict[str, str]:
 async def test_text_goes_into_the_field_that_a_tab_before_it_chose(
     app: Stage, pilot: Press
 ) -> None:
-    type_ahead(
-        app,
-        "tab",
-        *keys_of_key_order("Harold Smith"),
-        "tab",
-        *keys_of_key_order("Job 7"),
-        "down",
-        "2",
-    )
+    name, job = map(keys_of_key_order, ("Harold Smith", "Job 7"))
+    type_ahead(app, "tab", *name, "tab", *job, "down", "2")
     await settle(pilot)
     assert isinstance(app.screen, StartScreen)
-    assert values(app) == {"cell": "paper", "operator": "Harold Smith", "job": "Job 7"} | {
-        "seed": "2"
-    }
+    entries = {"cell": "paper", "operator": "Harold Smith", "job": "Job 7", "seed": "2"}
+    assert values(app) == entries
 
 
 @on_screen()
@@ -358,18 +318,7 @@ async def test_a_scanned_code_moves_nothing_and_leaves_nothing(
 @on_screen()
 async def test_choices_follow_the_keys_before_them(app: Stage, pilot: Press) -> None:
     type_ahead(
-        app,
-        "home",
-        "end",
-        "down",
-        "down",
-        "down",
-        "up",
-        *["tab"] * 4,
-        "space",
-        "tab",
-        "right",
-        "down",
+        app, "home", "end", *["down"] * 3, "up", *["tab"] * 4, "space", "tab", "right", "down"
     )
     await settle(pilot)
     assert [each.index for each in app.screen.query(Choice)] == [1, 1, 2]
@@ -398,12 +347,8 @@ async def test_the_run_under_the_cursor_is_the_one_marked(app: Stage, pilot: Pre
     type_ahead(app, "x", "down", "down", "x", "up", "x", "x")
     await settle(pilot)
     table = app.screen.query_one(Table)
-    assert [table.columns[0].of(run) for run in table.rows] == [
-        "",
-        "",
-        "*",
-        "",
-    ]  # of three the first went, the third was taken back
+    marks = [table.columns[0].of(run) for run in table.rows]
+    assert marks == ["", "", "*", ""]  # of three the first went, the third was taken back
 
 
 @on_screen("running")
@@ -415,8 +360,6 @@ async def test_a_filter_ends_with_its_enter(app: Stage, pilot: Press) -> None:
     key = app.screen_stack[-2].query_one(Table).key
     assert f"grid point {key.removeprefix('grid/')} " in text_of(app)
 
-
-__all__ = ["isolated"]
 
 WRITTEN = {  # a key in the help: its names
     "▲▼": {"up", "down"},

@@ -13,7 +13,7 @@ import pytest
 
 from hilcell.calibration.position_errors import position_errors
 from hilcell.journal.log import Log
-from hilcell.model.point import Point, PointId, Sent
+from hilcell.model.point import PointId, Sent
 from hilcell.tui.plots import PlotStyle
 from hilcell.tui.text.plots import (
     BESIDE,
@@ -28,6 +28,7 @@ from hilcell.tui.text.plots import (
 )
 from tests.hilcell.report.journals import validated_run
 from tests.hilcell.tui.sample_runs import SampleRun, measuring, validated
+from tests.hilcell.tui.test_points import changed
 from tests.hilcell.tui.views import drawn
 
 LETTERS = PlotStyle(letters=True, plain=True)
@@ -35,11 +36,6 @@ LETTERS = PlotStyle(letters=True, plain=True)
 
 def measured_errors(story: SampleRun) -> Measured:
     return Measured(Log(story.records))
-
-
-def changed(log: Log, key: str, **more: Any) -> Point:
-    log.points[key] = msgspec.structs.replace(log.points[key], **more)
-    return log.points[key]
 
 
 def test_plots_show_the_reports_errors(tmp_path: Path) -> None:

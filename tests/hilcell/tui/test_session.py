@@ -19,7 +19,6 @@ from hilcell.journal.runs import CALIBRATION
 from hilcell.model.events import AlarmsAcknowledged
 from hilcell.model.point import PointId
 from hilcell.run.control import Control, EngineLost, EngineSilent
-from hilcell.tui import session as feeds
 from hilcell.tui import session as sessions
 from hilcell.tui.run_view import EngineState
 from hilcell.tui.screens.base import OpenRuns
@@ -93,15 +92,14 @@ def test_an_answer_may_take_as_long_as_a_look_of_the_tracker(
     session.close(leave=True)
 
 
-def test_a_stop_ends_an_engine_that_hears_nobody_yet(tmp_path: Path) -> None:
+def test_a_stop_ends_an_engine_that_hears_nobody_yet_and_never_one_that_was_heard(
+    tmp_path: Path,
+) -> None:
     process = Process()
     session = session_of(tmp_path, process)
     assert session.stop()
     assert process.ended
     assert session.stop()  # said again, it is still so
-
-
-def test_an_engine_that_was_heard_once_is_never_killed(tmp_path: Path) -> None:
     process = Process()
     session = session_of(tmp_path, process)
     session.take(RunUpdate([], engine=EngineState.ANSWERING), utc_now())
@@ -158,7 +156,7 @@ class Screen:
 def engine(monkeypatch: pytest.MonkeyPatch) -> ScriptedEngine:
     """Return the engine of every run."""
     engine = ScriptedEngine()
-    monkeypatch.setattr(feeds, "EngineClient", engine)
+    monkeypatch.setattr(sessions, "EngineClient", engine)
     return engine
 
 
@@ -181,10 +179,13 @@ def test_it_brings_the_journal_and_then_what_is_new(tmp_path: Path) -> None:
 
 
 def test_it_attends_asks_and_leaves(tmp_path: Path) -> None:
+    before = utc_now()
     with Peer(tmp_path) as peer:
         screen = Screen(tmp_path)
         update = screen.until(lambda update: update.status)
         assert update.engine is EngineState.ANSWERING
+        assert update.answered is not None
+        assert before <= update.answered <= utc_now()
         assert update.status is not None
         assert update.status.devices["rail"].text == "1100.20 mm"
         assert peer.commands == ["attend"]
@@ -217,7 +218,7 @@ def test_an_engine_with_bad_answers_is_asked_again(
     engine: ScriptedEngine,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(feeds.Feed, "REOPEN_S", math.inf)
+    monkeypatch.setattr(Feed, "REOPEN_S", math.inf)
     screen = Screen(tmp_path)
     screen.until(lambda update: update.status)
     engine.answer = answer
@@ -231,7 +232,7 @@ def test_an_engine_with_bad_answers_is_asked_again(
 def test_a_line_that_is_silent_for_long_is_opened_again(
     tmp_path: Path, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(feeds.Feed, "REOPEN_S", -1.0)  # any silence is long
+    monkeypatch.setattr(Feed, "REOPEN_S", -1.0)  # any silence is long
     screen = Screen(tmp_path)
     screen.until(lambda update: update.status)
     engine.answer = EngineSilent("no answer")
@@ -264,8 +265,8 @@ def test_a_folder_without_permission_is_reported_at_each_look(
     def unknown(_: Path) -> bool:
         raise PermissionError
 
-    monkeypatch.setattr(feeds, "read_journal", refuse)
-    monkeypatch.setattr(feeds, "is_regular_file", unknown)
+    monkeypatch.setattr(sessions, "read_journal", refuse)
+    monkeypatch.setattr(sessions, "is_regular_file", unknown)
     screen = Screen(tmp_path)
     assert [screen.next().trouble for _ in range(2)] == ["permission denied"] * 2
     screen.close()
@@ -308,14 +309,6 @@ def test_updates_that_nobody_has_seen_become_one_with_all_records_and_the_newest
     assert (update.status, update.answered) == (heard, at)  # of when it was heard
     assert inbox.take() is None
     assert inbox.put(first)
-
-
-def test_a_status_is_dated_when_it_comes(tmp_path: Path, engine: ScriptedEngine) -> None:
-    before, screen = utc_now(), Screen(tmp_path)
-    update = screen.until(lambda update: update.status)
-    assert update.answered is not None
-    assert before <= update.answered <= utc_now()
-    screen.close()
 
 
 PERIOD_S = 0.02
@@ -361,6 +354,10 @@ def waiting(session: Session) -> dict[str, bool]:
     return {each.alarm.code: not each.acknowledged for each in session.latch.standing()}
 
 
+def asked() -> SampleRun:
+    return measuring().state("suspended", reason=FAULT_TEXT, error=FAULT)
+
+
 def test_another_screen_and_a_later_one_know_it(tmp_path: Path, asking: Live) -> None:
     first, second = SharedScreen(tmp_path), SharedScreen(tmp_path)
     assert waiting(first.session) == waiting(second.session) == {"HC-T10": True}
@@ -385,7 +382,7 @@ def test_without_an_engine_this_screen_alone_knows_it(tmp_path: Path) -> None:
 
 
 def test_an_alarm_that_came_after_the_last_record_seen_still_waits() -> None:
-    run = measuring().state("suspended", reason=FAULT_TEXT, error=FAULT)
+    run = asked()
     newest = run.records[-1]
     for until_record, waits in ((newest.seq - 1, True), (newest.seq, False)):
         session = RecordingSession(RUNS / "r")
@@ -397,7 +394,7 @@ def test_an_alarm_that_came_after_the_last_record_seen_still_waits() -> None:
 
 
 def test_the_key_sends_the_codes_and_the_last_record_seen() -> None:
-    run = measuring().state("suspended", reason=FAULT_TEXT, error=FAULT)
+    run = asked()
 
     async def act(app: Stage, pilot: Press) -> None:
         await press(pilot, "k")
@@ -417,20 +414,10 @@ def gone(run: SampleRun, engine: EngineState = EngineState.ANSWERING) -> list[bo
     return [bool(each.gone) for each in session.latch.standing() if each.alarm.code == "HC-T99"]
 
 
-def asked() -> SampleRun:
-    return measuring().state("suspended", reason=FAULT_TEXT, error=FAULT)
-
-
-def test_a_run_that_goes_on_has_proven_that_the_cause_is_gone() -> None:
+def test_only_a_run_that_goes_on_has_proven_that_the_cause_is_gone() -> None:
     assert gone(asked().state("running")) == [True]
-
-
-@pytest.mark.parametrize("state", ["aborting", "stopping", "checking"])
-def test_a_run_that_does_not_go_on_has_proven_nothing(state: str) -> None:
-    assert gone(asked().state(state)) == [False]
-
-
-def test_an_engine_that_is_gone_has_proven_nothing() -> None:
+    for state in ("aborting", "stopping", "checking"):
+        assert gone(asked().state(state)) == [False]
     assert gone(asked().add("event", what="screen lost"), EngineState.NONE) == [False]
 
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
 from dataclasses import fields
 from itertools import combinations, product
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,12 +14,11 @@ from rich.segment import Segment
 from hilcell.commands.cli import whole_parser
 from hilcell.commands.tui import textual_environment
 from hilcell.ports import Array
-from hilcell.tui.run_view import RunView
 from hilcell.tui.terminal import ASCII, UNICODE, Glyphs, has_colours, has_unicode, to_ascii
 from hilcell.tui.text.run import STATES
 from hilcell.tui.themes import NAMES, PALETTES, ROLES, SIXTEEN_COLOURS, Palette
 from tests.hilcell.tui.all_screens import form_of, isolated, screens_of
-from tests.hilcell.tui.recording_app import SIZE, RecordingApp, options, painted
+from tests.hilcell.tui.recording_app import SIZE, Press, RecordingApp, Stage, painted, run_app
 from tests.hilcell.tui.sample_runs import sample_runs
 from tests.whole.bench import sweep
 
@@ -181,15 +178,13 @@ def contrast_of(segment: Segment, app: RecordingApp) -> float:
 @pytest.mark.usefixtures("isolated")
 @pytest.mark.parametrize("theme", [NAMES[0], *sweep(*NAMES[1:])])
 def test_every_letter_on_every_screen_is_read(theme: str) -> None:
-    async def run_app(state: str) -> dict[str, str]:
-        app = RecordingApp(options(Path("/runs"), theme=theme), state)
-        async with app.run_test(size=SIZE) as pilot:
-            walk = screens_of if state else form_of
-            return await walk(app, pilot, hard_to_read)
+    async def look(app: Stage, pilot: Press) -> None:
+        walk = screens_of if app.story else form_of
+        seen = await walk(app, pilot, hard_to_read)
+        assert not {name: text for name, text in seen.items() if text}
 
     for state in ("intolerant", ""):
-        problems = {name: text for name, text in asyncio.run(run_app(state)).items() if text}
-        assert not problems, problems
+        run_app(look, state, size=SIZE, theme=theme)
 
 
 def test_the_command_offers_every_theme_and_no_other() -> None:
@@ -215,27 +210,13 @@ def test_each_state_has_its_word_and_a_shape_that_tells_its_role(glyphs: Glyphs)
 WGL4 = "►■□●○▲▼◄×√·•█▀▄▌▐░▒▓─│═║╔╗╚╝┌┐└┘├┤┬┴┼°±−≤Δ"
 
 
-def test_shapes_are_in_the_fonts_of_all_terminals() -> None:
+def test_shapes_are_in_the_fonts_of_all_terminals_and_each_has_one_in_ascii() -> None:
     values = (getattr(UNICODE, each.name) for each in fields(Glyphs))
     shapes = "".join(value for value in values if isinstance(value, str))
     shapes += "".join(UNICODE.states.values())
     assert {letter for letter in shapes if not letter.isascii()} <= set(WGL4)
-
-
-def test_every_shape_has_one_in_ascii() -> None:
     assert "?" not in to_ascii(WGL4.replace("Δ", ""))
     assert len(to_ascii(WGL4)) == len(WGL4)
-
-
-def test_every_state_of_a_run_can_be_shown() -> None:
-    for name, story in sample_runs().items():
-        view = RunView("r")
-        for record in story.records:
-            view.take(record)
-        assert view.state in STATES, name
-
-
-def test_every_shape_of_a_state_has_one_in_ascii() -> None:
     values = (getattr(ASCII, each.name) for each in fields(Glyphs))
     shapes = "".join(value for value in values if isinstance(value, str))
     assert to_ascii(shapes + "".join(ASCII.states.values())).count("?") == 1  # suspended
@@ -259,38 +240,23 @@ def test_no_color_is_obeyed_whatever_it_says_but_nothing() -> None:
     assert has_colours(XTERM | {"NO_COLOR": ""})
 
 
-@pytest.mark.parametrize(
-    "locale",
-    [
-        {"LANG": "en_US.UTF-8"},
-        {"LANG": "C.utf8"},
-        {"LC_CTYPE": "UTF-8"},
-        {"LANG": "C", "LC_CTYPE": "de_DE.UTF-8"},
-        {"LANG": "C", "LC_CTYPE": "C", "LC_ALL": "C.UTF-8"},
-        {"LANG": "en_US.UTF-8", "LC_ALL": ""},
-        {"LANG": "en_US.UTF-8@variant"},
-        {},
-    ],
-)
-def test_a_locale_with_utf_8_or_none_has_shapes(locale: dict[str, str]) -> None:
-    assert has_unicode(XTERM | locale)
-    for term in ("vt100", "dumb", "linux"):
-        assert not has_unicode({"TERM": term} | locale)
+UTF_8 = (
+    {"LANG": "en_US.UTF-8"}, {"LANG": "C.utf8"}, {"LC_CTYPE": "UTF-8"},
+    {"LANG": "C", "LC_CTYPE": "de_DE.UTF-8"}, {"LANG": "C", "LC_CTYPE": "C", "LC_ALL": "C.UTF-8"},
+    {"LANG": "en_US.UTF-8", "LC_ALL": ""}, {"LANG": "en_US.UTF-8@variant"}, {},
+)  # fmt: skip
+OTHERS = (
+    {"LANG": "C"}, {"LANG": "POSIX"}, {"LANG": "de_DE"}, {"LANG": "de_DE.ISO-8859-1"},
+    {"LANG": "en_US.UTF-8", "LC_ALL": "C"}, {"LANG": "en_US.UTF-8", "LC_CTYPE": "POSIX"},
+)  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "locale",
-    [
-        {"LANG": "C"},
-        {"LANG": "POSIX"},
-        {"LANG": "de_DE"},
-        {"LANG": "de_DE.ISO-8859-1"},
-        {"LANG": "en_US.UTF-8", "LC_ALL": "C"},
-        {"LANG": "en_US.UTF-8", "LC_CTYPE": "POSIX"},
-    ],
-)
-def test_every_other_locale_that_is_named_is_ascii(locale: dict[str, str]) -> None:
-    assert not has_unicode(XTERM | locale)
+def test_a_locale_with_utf_8_or_none_has_shapes_and_no_other() -> None:
+    for locale in UTF_8:
+        assert has_unicode(XTERM | locale), locale
+        assert not any(has_unicode({"TERM": t} | locale) for t in ("vt100", "dumb", "linux"))
+    for locale in OTHERS:
+        assert not has_unicode(XTERM | locale), locale
 
 
 def test_what_python_wrote_into_its_environment_is_no_claim_of_the_terminals() -> None:
