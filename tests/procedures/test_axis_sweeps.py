@@ -172,10 +172,13 @@ class UpAlone(Connected):
         self._sweep(session, CubeJoints.of(CELL), 1, "up")
 
 
+def late(stream: SweepStream) -> SweepStream:
+    """Return the stream with a gap of 2 s, which makes it useless."""
+    return replace(stream, device_s=stream.device_s + 2.0 * (np.arange(len(stream.device_s)) > 300))
+
+
 def test_a_stream_that_cannot_be_used_is_an_alarm_and_no_curve(bed: Bed) -> None:
-    robot, _ = parts(bed)
-    late = 2.0 * (np.arange(len(AXIS.stream(1.0).device_s)) > 300)
-    robot.spoil = lambda stream: replace(stream, device_s=stream.device_s + late)
+    parts(bed)[0].spoil = late
     assert bed.run(ACT) == 0
     log = bed.log()
     assert len(log.streams) == 4  # both sweeps were made again
@@ -186,13 +189,7 @@ def test_a_stream_that_cannot_be_used_is_an_alarm_and_no_curve(bed: Bed) -> None
 
 def test_an_axis_is_swept_again_where_the_first_sweeps_cannot_be_used(bed: Bed) -> None:
     robot, tracker = parts(bed)
-    late = 2.0 * (np.arange(len(AXIS.stream(1.0).device_s)) > 300)
-
-    def first_alone(stream: SweepStream) -> SweepStream:
-        spoilt = replace(stream, device_s=stream.device_s + late)
-        return spoilt if tracker.streams == 1 else stream
-
-    robot.spoil = first_alone
+    robot.spoil = lambda stream: late(stream) if tracker.streams == 1 else stream
     assert bed.run(ACT) == 0
     assert bed.log().curves[1].holds
     assert "sweep/A1/down/2" in bed.log().streams

@@ -62,6 +62,7 @@ FLOOR = '{name="floor", centre={x_mm=0.0, y_mm=0.0, z_mm=-100.0}, size_mm=[9.0, 
         ("grid.size_mm", "[9000.0, 9000.0, 9000.0]", "grid: expected at most 1000 vertices"),
         ("layout.rail_direction", "[0.0, 0.5, 0.0]", "layout: rail_direction"),
         ("layout.floor", "[]", "layout.floor: "),
+        ("layout.slide", "[]", "layout.slide: "),  # a rail needs nests on its slide
         ("rail.travel_max_mm", "1500.0", "station[2].rail_mm: "),
         ("rail.travel_max_mm", "-1.0", "rail: travel_min_mm"),
         ("rail.speed_mm_s", "250.0\nname = 'x'", "rail.speed_mm_s: "),

@@ -66,11 +66,6 @@ def test_what_belongs_to_a_rail_is_refused_without_one(tmp_path: Path) -> None:
         assert key in found
 
 
-def test_a_rail_needs_nests_on_its_slide() -> None:
-    with pytest.raises(SettingsError, match="slide"):
-        load_cell("paper", {"layout.slide": "[]"})
-
-
 def test_nonsense_is_refused(tmp_path: Path) -> None:
     for table in ("station = 3", "station = [4]", "grid = 'no'", "layout = []", "touch = 1"):
         assert table.split()[0] in file_problems(tmp_path, f"name = 'x'\nserial = 'y'\n{table}\n")
