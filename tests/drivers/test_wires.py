@@ -8,7 +8,7 @@ import socket
 import threading
 import tty
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import closing, contextmanager, suppress
 from types import SimpleNamespace
 
 import pytest
@@ -179,6 +179,23 @@ def keep_silent(connection: socket.socket) -> None:
     connection.recv(1)
 
 
+def keep_until(end: threading.Event) -> Callable[[socket.socket], None]:
+    """Return a device that neither reads nor answers until then."""
+
+    def serve(_: socket.socket) -> None:
+        end.wait()
+
+    return serve
+
+
+@contextmanager
+def link_to(
+    serve: Callable[[socket.socket], None], check: Callable[[], None] = lambda: None
+) -> Iterator[TcpLink]:
+    with Server(serve) as server, closing(TcpLink(ROBOT, "127.0.0.1", server.port, check)) as link:
+        yield link
+
+
 @pytest.fixture
 def starved(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every look comes five seconds after the one before."""
@@ -202,18 +219,14 @@ def test_an_answer_that_comes_before_the_next_look_is_taken() -> None:
         if looks == 4:
             asked.set()
 
-    with Server(answer) as server:
-        link = TcpLink(ROBOT, "127.0.0.1", server.port, check)
+    with link_to(answer, check) as link:
         assert link.receive(10, Deadline(2.0)) == b"here"
-        link.close()
 
 
 @pytest.mark.usefixtures("starved")
 def test_a_silent_device_is_silent_all_the_same() -> None:
-    with Server(keep_silent) as server:
-        link = TcpLink(ROBOT, "127.0.0.1", server.port, lambda: None)
+    with link_to(keep_silent) as link:
         assert link.receive(10, Deadline(0.3)) == b""
-        link.close()
 
 
 def test_bytes_that_have_arrived_are_taken_though_the_time_is_up() -> None:
@@ -224,25 +237,18 @@ def test_bytes_that_have_arrived_are_taken_though_the_time_is_up() -> None:
         sent.set()
         connection.recv(1)
 
-    with Server(speak) as server:
-        link = TcpLink(ROBOT, "127.0.0.1", server.port, lambda: None)
+    with link_to(speak) as link:
         sent.wait()
         assert link.receive(10, Deadline(0.0)) == b"here"
-        link.close()
 
 
 def test_a_device_that_takes_no_bytes_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivers.wires.SEND_S", 0.05)
     end = threading.Event()
 
-    def take_nothing(_: socket.socket) -> None:
-        end.wait()
-
-    with Server(take_nothing) as server:
-        link = TcpLink(ROBOT, "127.0.0.1", server.port, lambda: None)
+    with link_to(keep_until(end)) as link:  # it takes nothing
         assert refusal(lambda: link.send(bytes(64_000_000), "write HC_TGT")).code == "HC-B02"
         end.set()
-        link.close()
 
 
 def stop_by_c3(port: int) -> C3Connection:
@@ -291,11 +297,7 @@ def test_a_device_that_never_closes_its_end_delays_no_close(
     time.silence(0.1)
     closed = threading.Event()
 
-    def keep(_: socket.socket) -> None:
-        closed.wait()
-
-    with Server(keep) as server:
-        link = TcpLink(ROBOT, "127.0.0.1", server.port, lambda: None)
+    with link_to(keep_until(closed)) as link:
         link.reply_pending = True
         link.close()
         closed.set()

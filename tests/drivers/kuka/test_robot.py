@@ -52,12 +52,9 @@ def test_a_move_ends_at_the_target_at_rest(robot: BedRobot) -> None:
     np.testing.assert_allclose(reading.joints_rad, TARGET_RAD, atol=1e-8)
     np.testing.assert_allclose(robot.read().joints_rad, TARGET_RAD, atol=1e-8)
     assert reading.still
-    assert [robot.peer.variables[f"HC_{name}"] for name in ("VEL", "CMD", "SEQ")] == [
-        "30",
-        "1",
-        "8",
-    ]
-    assert "A3 95.500000," in robot.peer.variables["HC_TGT"]
+    sent = robot.peer.variables
+    assert (sent["HC_VEL"], sent["HC_CMD"], sent["HC_SEQ"]) == ("30", "1", "8")
+    assert "A3 95.500000," in sent["HC_TGT"]
 
 
 def test_a_reading_and_a_point_cost_few_exchanges(robot: BedRobot) -> None:

@@ -57,17 +57,23 @@ def test_a_tracker_reports_its_name(bed: EmsconBed, name: str) -> None:
     assert identity.model == "Leica, emScon 3.8.900"
 
 
-@pytest.mark.parametrize("found", [5.001, np.nan, np.inf])
+@pytest.mark.parametrize(
+    ("found_mm", "same"),
+    [
+        (5.001, False),
+        (np.nan, False),
+        (np.inf, False),
+        (np.nextafter(5.0, 6.0), True),
+    ],  # kept in metres
+)
 def test_a_search_radius_that_reads_back_differently_is_refused(
-    bed: EmsconBed, found: float
+    bed: EmsconBed, found_mm: float, same: bool
 ) -> None:
-    bed.peer.answers[44] = lambda _: [reply(44, struct.pack("<di", found, 10_000))]
-    assert kind(refusal(bed.make().connect)) == (DeviceRefused, "HC-T06")
-
-
-def test_a_search_radius_that_the_tracker_keeps_in_metres_is_the_same(bed: EmsconBed) -> None:
-    bed.peer.answers[44] = lambda _: [reply(44, struct.pack("<di", 0.0499 / 3 * 3 * 1000, 10_000))]
-    bed.connect(find_radius_mm=49.9)
+    bed.peer.answers[44] = lambda _: [reply(44, struct.pack("<di", found_mm, 10_000))]
+    if same:
+        bed.connect()
+    else:
+        assert kind(refusal(bed.make().connect)) == (DeviceRefused, "HC-T06")
 
 
 def test_one_measurement(tracker: Quick) -> None:

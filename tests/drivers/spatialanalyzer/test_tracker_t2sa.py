@@ -152,10 +152,8 @@ def test_a_laser_that_does_not_come_is_named(
 )  # fmt: skip
 def test_a_setting_that_is_refused_is_named(bed: T2saBed, command: str, code: int) -> None:
     bed.peer.answers[command] = lambda _: f"ERR-{code} Failed."
-    assert kind(refusal(bed.make(profile="x", working_frame="y").connect)) == (
-        DeviceRefused,
-        "HC-T06",
-    )
+    tracker = bed.make(profile="x", working_frame="y")
+    assert kind(refusal(tracker.connect)) == (DeviceRefused, "HC-T06")
 
 
 @pytest.mark.parametrize(
@@ -238,10 +236,9 @@ def test_a_bad_result_is_no_reading(
 
 def test_a_place_beside_every_point_is_refused_before_anything_is_sent(tracker: BedTracker) -> None:
     tracker.peer.requests.clear()
-    assert kind(refusal(lambda: tracker.measure(np.array([1000.0, 2000.0, 0.0]), SMR, 1))) == (
-        DeviceError,
-        "HC-T74",
-    )
+    beside_mm = np.array([1000.0, 2000.0, 0.0])
+    error = refusal(lambda: tracker.measure(beside_mm, SMR, 1))
+    assert kind(error) == (DeviceError, "HC-T74")
     assert not tracker.peer.requests
 
 
