@@ -17,6 +17,7 @@ import socket
 import struct
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from enum import IntEnum
 from functools import partial
 from itertools import takewhile
@@ -141,6 +142,7 @@ def wide(text: str) -> bytes:
 # -- samples --------------------------------------------------------------------------------------
 
 
+@dataclass(kw_only=True)
 class SampleStream:
     """A continuous measurement: samples by the tracker's clock, in late and divided packets.
 
@@ -149,25 +151,17 @@ class SampleStream:
     tell when a sample was taken. Not thread-safe.
     """
 
-    def __init__(
-        self,
-        truth: StreamTruth,
-        time: CellTime,
-        faults: Faults,
-        followed: Followed,
-        pack: Callable[[Array, Array], bytes],
-        *,
-        separation_s: float,
-        points: int,
-        lost: Callable[[], None],
-    ) -> None:
-        """``pack``: device times (N,), positions (N, 3) mm -> packet. ``points`` 0: until stopped;
-        ``lost`` is called when the beam breaks.
-        """
-        self._truth, self._time, self._faults = truth, time, faults
-        self._followed, self._pack, self._lost = followed, pack, lost
-        self._separation_s, self._points = separation_s, points
-        self._start_s = truth.device_s(time.now_s())
+    truth: StreamTruth
+    time: CellTime
+    faults: Faults
+    followed: Followed
+    pack: Callable[[Array, Array], bytes]  # device times (N,), positions (N, 3) mm -> packet
+    separation_s: float
+    points: int  # 0: until stopped
+    lost: Callable[[], None]  # called when the beam breaks
+
+    def __post_init__(self) -> None:
+        self._start_s = self.truth.device_s(self.time.now_s())
         self._sampled = self._packets = 0
         self._times_s, self._xyz_mm = np.zeros(0), np.zeros((0, 3))
         self._delayed = b""
@@ -182,10 +176,10 @@ class SampleStream:
         packet_samples = (8, 3, 12, 5, 9)  # in sequence
         while len(self._times_s) >= (size := packet_samples[self._packets % len(packet_samples)]):
             sent += self._packet(size)
-        if broken or self._sampled == self._points != 0:
+        if broken or self._sampled == self.points != 0:
             sent += self.end() + status_change(Change.NOT_READY if broken else Change.READY)
         if broken:
-            self._lost()
+            self.lost()
         return sent
 
     def end(self) -> bytes:
@@ -193,22 +187,22 @@ class SampleStream:
         if self.ended:
             return b""
         self.ended = True
-        self._followed.end()
-        rest = self._pack(self._times_s, self._xyz_mm) if len(self._times_s) else b""
+        self.followed.end()
+        rest = self.pack(self._times_s, self._xyz_mm) if len(self._times_s) else b""
         return self._delayed + rest
 
     def _sample(self) -> bool:
         """Take the due samples; return whether the beam broke."""
-        now_s = self._truth.device_s(self._time.now_s())
-        due = int((now_s - self._start_s) / self._separation_s)
-        wanted = min(due, self._points) if self._points else due
+        now_s = self.truth.device_s(self.time.now_s())
+        due = int((now_s - self._start_s) / self.separation_s)
+        wanted = min(due, self.points) if self.points else due
         if wanted == self._sampled:
             return False
         numbers = np.arange(self._sampled + 1, wanted + 1)
-        beam = takewhile(lambda _: not self._faults.strikes("tracker.stream_break"), numbers)
+        beam = takewhile(lambda _: not self.faults.strikes("tracker.stream_break"), numbers)
         seen = sum(1 for _ in beam)
-        times_s = np.asarray(self._start_s + self._separation_s * numbers[:seen], dtype=float)
-        xyz_mm = self._followed.read(times_s) if len(times_s) else np.zeros((0, 3))
+        times_s = np.asarray(self._start_s + self.separation_s * numbers[:seen], dtype=float)
+        xyz_mm = self.followed.read(times_s) if len(times_s) else np.zeros((0, 3))
         self._sampled += len(xyz_mm)
         self._times_s = np.append(self._times_s, times_s[: len(xyz_mm)])
         self._xyz_mm = np.vstack([self._xyz_mm, xyz_mm])
@@ -217,7 +211,7 @@ class SampleStream:
     def _packet(self, size: int) -> bytes:
         """Return the bytes to send now; the rest waits for the next packet."""
         self._packets += 1
-        data = self._delayed + self._pack(self._times_s[:size], self._xyz_mm[:size])
+        data = self._delayed + self.pack(self._times_s[:size], self._xyz_mm[:size])
         self._times_s, self._xyz_mm = self._times_s[size:], self._xyz_mm[size:]
         cut = len(data)
         late_every, cut_every = 5, 3  # packets that are delayed, completely or their second half
@@ -510,11 +504,13 @@ class EmsconDevice:
     def _stream_of(self, target: str, truth: StreamTruth) -> SampleStream:
         separation_ms, points, *_region = self._settings["continuous"]
         return SampleStream(
-            truth,
-            self._time,
-            self._faults,
-            truth.follow(target),
-            lambda times_s, xyz_mm: multi_result(times_s, self._to_wire(xyz_mm), self._weather()),
+            truth=truth,
+            time=self._time,
+            faults=self._faults,
+            followed=truth.follow(target),
+            pack=lambda times_s, xyz_mm: multi_result(
+                times_s, self._to_wire(xyz_mm), self._weather()
+            ),
             separation_s=separation_ms / 1000.0,
             points=int(points),
             lost=partial(setattr, self, "_target", None),

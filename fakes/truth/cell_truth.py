@@ -82,10 +82,10 @@ class CellTruth:
         self.arm.lost_rad[axis - 1] += lost_rad
         self._forget()
 
-    def lose_motion(self, lost_rad: float, axis: int = 3) -> None:
-        """Widen the backlash of an axis of the robot, 1 to 6, permanently."""
+    def lose_motion(self, lost_rad: float) -> None:
+        """Widen the backlash of axis 3 of the robot, permanently."""
         if lost_rad:
-            self.arm.half_gap_rad[axis - 1] += lost_rad / 2
+            self.arm.half_gap_rad[2] += lost_rad / 2
             self._forget()
 
     def grow(self, um_m: float) -> None:

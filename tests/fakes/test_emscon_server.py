@@ -439,11 +439,11 @@ def test_the_same_samples_at_any_time_of_asking(cell: Cell, leaps_s: list[float]
         return b""
 
     samples = SampleStream(
-        truth.streams,
-        time,
-        faults,
-        truth.streams.follow(FLANGE),
-        pack,
+        truth=truth.streams,
+        time=time,
+        faults=faults,
+        followed=truth.streams.follow(FLANGE),
+        pack=pack,
         separation_s=0.01,
         points=0,
         lost=lambda: None,

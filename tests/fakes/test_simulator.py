@@ -41,6 +41,12 @@ def simulated(cell: Cell) -> Iterator[PaperCell]:
     simulated.close()
 
 
+def simulated_by(cell: Cell, **changed: str) -> Cell:
+    assert cell.simulation is not None
+    simulation = msgspec.structs.replace(cell.simulation, **changed)
+    return msgspec.structs.replace(cell, simulation=simulation)
+
+
 def alive(pid: int) -> bool:
     try:
         os.kill(pid, 0)
@@ -115,9 +121,7 @@ def test_a_clock_waits_at_its_pace_and_stops(simulated: PaperCell) -> None:
 
 
 def test_attaches_to_a_running_cell_and_leaves_it_running(cell: Cell, simulated: PaperCell) -> None:
-    assert cell.simulation is not None
-    there = msgspec.structs.replace(cell.simulation, address=simulated.address)
-    attached = PaperCell(msgspec.structs.replace(cell, simulation=there), seed=99)
+    attached = PaperCell(simulated_by(cell, address=simulated.address), seed=99)
     assert attached.options == simulated.options
     attached.clock(threading.Event()).wait(7.0)
     attached.close()
@@ -125,19 +129,15 @@ def test_attaches_to_a_running_cell_and_leaves_it_running(cell: Cell, simulated:
 
 
 def test_nobody_at_the_address_is_said_so(cell: Cell) -> None:
-    assert cell.simulation is not None
-    nowhere = msgspec.structs.replace(cell.simulation, address="127.0.0.1:1")
     with pytest.raises(DeviceError) as gone:
-        PaperCell(msgspec.structs.replace(cell, simulation=nowhere), seed=1)
+        PaperCell(simulated_by(cell, address="127.0.0.1:1"), seed=1)
     assert gone.value.code == "HC-C18"
 
 
 @pytest.mark.parametrize("address", ["x", "127.0.0.1:", "127.0.0.1:65536"])
 def test_what_is_no_address_is_refused(cell: Cell, address: str) -> None:
-    assert cell.simulation is not None
-    there = msgspec.structs.replace(cell.simulation, address=address)
     with pytest.raises(SettingsError):
-        PaperCell(msgspec.structs.replace(cell, simulation=there), seed=1)
+        PaperCell(simulated_by(cell, address=address), seed=1)
 
 
 def test_faults_over_the_control_channel(simulated: PaperCell) -> None:
@@ -240,10 +240,7 @@ def data_file(tmp_path: Path, rows: int = 3) -> Path:
 
 
 def replayed(cell: Cell, data: str) -> Cell:
-    assert cell.simulation is not None
-    return msgspec.structs.replace(
-        cell, simulation=msgspec.structs.replace(cell.simulation, simulator="replay", data=data)
-    )
+    return simulated_by(cell, simulator="replay", data=data)
 
 
 def test_replay_gives_the_recorded_figures(cell: Cell, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import socket
 import threading
 import tty
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -219,22 +219,20 @@ def test_nobody_is_there_and_comes_back(wires: Relays, link: socket.socket) -> N
 
 def test_a_url_leads_through_and_another_device_may_be_behind() -> None:
     with Server(Echo()) as one, Server(lambda link: link.sendall(b"other")) as other:
-        wires = Relays({"rail": {"channel": f"socket://127.0.0.1:{one.port}", "node": 5}})
-        try:
+        of_one = {"rail": {"channel": f"socket://127.0.0.1:{one.port}", "node": 5}}
+        with closing(Relays(of_one)) as wires:
             assert wires.options["rail"]["node"] == 5
             wires.lead_to({"rail": {"channel": f"socket://127.0.0.1:{other.port}"}})
             port = int(str(wires.options["rail"]["channel"]).rpartition(":")[2])
             with socket.create_connection(("127.0.0.1", port)) as link:
                 assert link.recv(100) == b"other"
-        finally:
-            wires.close()
 
 
 def test_a_part_with_a_table_of_its_own_has_its_wire() -> None:
     with Server(Echo()) as one, Server(Echo()) as other:
         part = {"driver": "serial", "channel": f"socket://127.0.0.1:{other.port}"}
-        wires = Relays({"rail": {"host": "127.0.0.1", "port": one.port, "strip": part}})
-        try:
+        stated = {"rail": {"host": "127.0.0.1", "port": one.port, "strip": part}}
+        with closing(Relays(stated)) as wires:
             strip = wires.options["rail"]["strip"]
             assert isinstance(strip, dict)
             assert strip["driver"] == "serial"
@@ -245,8 +243,6 @@ def test_a_part_with_a_table_of_its_own_has_its_wire() -> None:
                 assert said(link, b"a") == b"b"
                 wires.drop()
                 assert link.recv(100) == b""
-        finally:
-            wires.close()
 
 
 def test_a_door_that_is_closed_has_handed_its_last_client_on() -> None:
