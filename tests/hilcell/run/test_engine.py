@@ -92,7 +92,7 @@ def test_a_plan_states_the_machine_and_opens_nothing(tmp_path: Path) -> None:
     plan = home(tmp_path, seed=4).check(print)
     assert (plan.folder, plan.machine_seed, plan.points) == (tmp_path / "R", 4, 0)
     assert home(tmp_path, seed=4, machine_seed=7).check(print).machine_seed == 7
-    assert "home" in home(tmp_path, name=None).check(print).folder.name
+    assert "home" in home(tmp_path, name=None, dry_run=True).check(print).folder.name
     assert list(tmp_path.iterdir()) == []
 
 
