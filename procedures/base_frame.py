@@ -10,7 +10,7 @@ from hilcell.calibration.changes import risen_nest, since_before
 from hilcell.calibration.diagnosis import misplaced_base
 from hilcell.calibration.frames import axis_6_height_mm, axis_circle, frame_of_sweeps, sweep_of
 from hilcell.cell.file import Cell, Station
-from hilcell.geometry.circles import base_frame_covariance
+from hilcell.geometry.frames import base_frame_covariance
 from hilcell.journal.log import Log
 from hilcell.model.frame import Matrix, MeasuredBase
 from hilcell.model.plan import PlannedStep, Span

@@ -6,7 +6,7 @@ from operator import itemgetter
 
 from hilcell.decoding import typed
 from hilcell.model.results import Place
-from hilcell.model.suspicion import suspected_in
+from hilcell.model.verdicts import suspected_in
 from hilcell.present.table import Column, Table
 from hilcell.run.procedure import Procedure, Result
 from procedures.axis_sweeps import AxisSweeps

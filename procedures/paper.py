@@ -26,9 +26,9 @@ from hilcell.cell.file import Cell
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.interpolation import Idw
 from hilcell.decoding import typed
-from hilcell.geometry.circles import base_frame_covariance
 from hilcell.geometry.frames import (
     apply,
+    base_frame_covariance,
     inverse,
     matrix,
     point_variance_mm2,

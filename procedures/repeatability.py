@@ -27,8 +27,7 @@ from hilcell.model.events import VisitedOnceMore
 from hilcell.model.plan import PlannedStep
 from hilcell.model.point import Point, PointId
 from hilcell.model.results import Floor, Repeated
-from hilcell.model.suspicion import Cause
-from hilcell.model.verdicts import ChangedSince, Revisited, Suspected
+from hilcell.model.verdicts import Cause, ChangedSince, Revisited, Suspected
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result

@@ -37,8 +37,7 @@ from hilcell.model.events import Three
 from hilcell.model.frame import Frame, TouchedBase
 from hilcell.model.plan import PlannedStep, Span
 from hilcell.model.results import StepResult
-from hilcell.model.suspicion import Suspicion
-from hilcell.model.verdicts import Touched
+from hilcell.model.verdicts import Suspicion, Touched
 from hilcell.ports import DeviceError, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession

@@ -23,7 +23,7 @@ from hilcell.geometry.frames import motion_levers
 from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.statistics import f_quantile
-from hilcell.model.suspicion import Cause, Suspicion
+from hilcell.model.verdicts import Cause, Suspicion
 from hilcell.ports import Array
 
 LARGE_AXES = 5

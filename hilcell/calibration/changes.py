@@ -34,8 +34,7 @@ from hilcell.journal.log import Log, positions_mm, variances_mm2
 from hilcell.journal.previous_reference import FLOOR_NESTS
 from hilcell.model.frame import MeasuredBase
 from hilcell.model.plan import PreviousReference
-from hilcell.model.suspicion import Cause, Suspicion
-from hilcell.model.verdicts import Parameter
+from hilcell.model.verdicts import Cause, Parameter, Suspicion
 from hilcell.ports import Array
 
 RISK = 0.001

@@ -61,8 +61,15 @@ from hilcell.calibration.position_errors import (
     visit_noise,
     visit_scatter,
 )
-from hilcell.geometry.circles import base_frame_covariance, reading_covariance
-from hilcell.geometry.frames import apply, from_rotvec, inverse, matrix, motion_levers
+from hilcell.geometry.frames import (
+    apply,
+    base_frame_covariance,
+    from_rotvec,
+    inverse,
+    matrix,
+    motion_levers,
+    reading_covariance,
+)
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.statistics import (
     bounds95_mm,
@@ -88,8 +95,7 @@ from hilcell.journal.log import (
 from hilcell.model.events import URAD
 from hilcell.model.frame import MeasuredBase
 from hilcell.model.point import CHECKS, CONTROL, Point
-from hilcell.model.suspicion import Cause, Suspicion
-from hilcell.model.verdicts import Fitted, Revisited
+from hilcell.model.verdicts import Cause, Fitted, Revisited, Suspicion
 from hilcell.ports import Array, HilcellError
 
 # -- drift of the tracker --------------------------------------------------------------------------

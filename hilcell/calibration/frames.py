@@ -13,11 +13,13 @@ from dataclasses import replace
 import numpy as np
 
 from hilcell.cell.file import Cell, Six, Station
-from hilcell.geometry.circles import Circle, base_frame, fit_circle
 from hilcell.geometry.frames import (
+    Circle,
     apply,
     apply_each,
+    base_frame,
     cross_matrix,
+    fit_circle,
     inverse,
     rigid_fit,
     three_point_frame,

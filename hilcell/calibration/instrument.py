@@ -34,13 +34,14 @@ from hilcell.journal.log import (
 )
 from hilcell.model.events import URAD
 from hilcell.model.point import BACK, LENGTH, REFLECTOR, Point, PointId
-from hilcell.model.suspicion import Cause, Suspicion
 from hilcell.model.verdicts import (
+    Cause,
     Faces,
     FacesCompared,
     LengthsChecked,
     MeasuredLength,
     MeasuredReflector,
+    Suspicion,
 )
 from hilcell.ports import Array
 

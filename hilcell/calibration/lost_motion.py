@@ -24,8 +24,7 @@ from hilcell.geometry.statistics import bounds95_mm, lengths_mm, rectangular_var
 from hilcell.journal.log import Log, commanded_rad, positions_mm
 from hilcell.model.events import URAD
 from hilcell.model.point import PointId
-from hilcell.model.suspicion import Cause, Suspicion
-from hilcell.model.verdicts import LostMotionJudged
+from hilcell.model.verdicts import Cause, LostMotionJudged, Suspicion
 from hilcell.ports import Array
 
 REVERSAL = "reversal"  # kind of the points that were approached from above

@@ -28,7 +28,7 @@ from hilcell.geometry.kinematics import Arm
 from hilcell.geometry.statistics import bounds95_mm
 from hilcell.journal.log import Log, commanded_rad, covariances_mm2, positions_mm
 from hilcell.model.point import Point
-from hilcell.model.suspicion import Cause, Suspicion
+from hilcell.model.verdicts import Cause, Suspicion
 from hilcell.ports import Array, HilcellError
 from hilcell.sanitize import counted
 

@@ -36,7 +36,7 @@ from hilcell.geometry.kinematics import Array, Bools
 from hilcell.geometry.statistics import pooled_std_mm, rectangular_variance
 from hilcell.journal.log import Log, commanded_rad, covariances_mm2, positions_mm
 from hilcell.model.point import Point, PointId
-from hilcell.model.suspicion import Suspicion
+from hilcell.model.verdicts import Suspicion
 
 # Target recognition locates reflectors by direction. Where a nest is behind or before the flange in
 # its line of sight, the instrument chooses neither, or the wrong one.

@@ -23,8 +23,14 @@ from typing import Literal, NamedTuple
 
 from hilcell.alarms.catalogue import CatalogueError, catalogue
 from hilcell.atomic_files import NotWritten
-from hilcell.cell.addresses import THIS_MACHINE
-from hilcell.cell.devices import PORTS, check_options, device_addresses, installed, load_entry
+from hilcell.cell.devices import (
+    PORTS,
+    THIS_MACHINE,
+    check_options,
+    device_addresses,
+    installed,
+    load_entry,
+)
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.console import print_data, print_json

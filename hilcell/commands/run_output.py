@@ -38,8 +38,7 @@ from hilcell.model.events import Closed, CurveMeasured, FirstPassBegun, NoReadin
 from hilcell.model.plan import PlannedStep
 from hilcell.model.point import CONTROL, Point
 from hilcell.model.records import WAITING, StateChanged
-from hilcell.model.suspicion import suspected_in
-from hilcell.model.verdicts import OTHERS, VALIDATION, Verdict
+from hilcell.model.verdicts import OTHERS, VALIDATION, Verdict, suspected_in
 from hilcell.ports import RecordingEnded
 from hilcell.present.table import Column, Table
 from hilcell.run.procedure import Plan, Procedure

@@ -11,7 +11,7 @@ from hilcell.model.events import Pair
 from hilcell.model.frame import Matrix
 from hilcell.model.outcome import Outcome
 from hilcell.model.point import Sent
-from hilcell.model.suspicion import Suspicion
+from hilcell.model.verdicts import Suspicion
 
 
 class StepResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

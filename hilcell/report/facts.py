@@ -30,7 +30,7 @@ from hilcell.model.events import CalibrationRevoked
 from hilcell.model.outcome import Outcome
 from hilcell.model.plan import PlanRecord
 from hilcell.model.point import Sent
-from hilcell.model.suspicion import suspected_in
+from hilcell.model.verdicts import suspected_in
 from hilcell.ports import Array, HilcellError
 from hilcell.run.procedure import Procedure
 from hilcell.sanitize import encodable, harmless

@@ -44,7 +44,7 @@ from hilcell.model.events import (
     ScreenLost,
 )
 from hilcell.model.records import PASSING
-from hilcell.model.suspicion import blamed
+from hilcell.model.verdicts import blamed
 from hilcell.ports import Clock, DeviceError, HilcellError, RecordingEnded, Stopped
 from hilcell.run.control import Status
 from hilcell.run.order import Attendance

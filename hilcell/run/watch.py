@@ -42,7 +42,7 @@ from hilcell.model.events import (
 )
 from hilcell.model.frame import Frame
 from hilcell.model.point import HELD, LENGTH, Point, PointId
-from hilcell.model.suspicion import Cause, Suspicion
+from hilcell.model.verdicts import Cause, Suspicion
 from hilcell.ports import Array, DeviceError, NoReading, TrackerReading
 from hilcell.run.meter import Meter
 from hilcell.run.prompts import Prompt, Verification

@@ -20,8 +20,7 @@ from hilcell.calibration.grid import grid_of
 from hilcell.cell.file import Cell, load_cell
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.interpolation import Idw, Trilinear
-from hilcell.geometry.circles import base_frame, fit_circle
-from hilcell.geometry.frames import apply, inverse, rigid_fit
+from hilcell.geometry.frames import apply, base_frame, fit_circle, inverse, rigid_fit
 from hilcell.geometry.kinematics import Array, forward
 from procedures.base_frame import sweep
 from procedures.plan import joints_for, poses_at

@@ -12,9 +12,9 @@ from msgspec.structs import replace
 
 from hilcell.model.frame import Frame, MeasuredBase, MeasuredStation, TouchedBase, frame_type
 from hilcell.model.outcome import Outcome
-from hilcell.model.suspicion import Cause, Suspicion
 from hilcell.model.verdicts import (
     Backlash,
+    Cause,
     ChangedSince,
     CurvesUsed,
     DriverConforms,
@@ -35,6 +35,7 @@ from hilcell.model.verdicts import (
     SignChecked,
     StripRepeats,
     Suspected,
+    Suspicion,
     Touched,
     Verdict,
 )

@@ -20,7 +20,7 @@ from hilcell.geometry.kinematics import forward
 from hilcell.journal.log import Log
 from hilcell.model.frame import Frame
 from hilcell.model.point import Point, PointId
-from hilcell.model.suspicion import blamed, suspected_in
+from hilcell.model.verdicts import blamed, suspected_in
 from hilcell.ports import Array, DeviceError
 from procedures.touch_station import touch_once, touch_spans, touches
 from procedures.validate import Validate, target_poses, targets

@@ -9,7 +9,7 @@ import pytest
 from fakes.in_process import InProcessCell
 from hilcell.calibration.instrument import axis_off
 from hilcell.cell.file import load_cell
-from hilcell.model.suspicion import Cause
+from hilcell.model.verdicts import Cause
 from hilcell.run import procedure
 from hilcell.run.procedure import Procedure
 from procedures.calibrate import CALIBRATE, point_table

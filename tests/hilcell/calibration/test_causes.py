@@ -14,7 +14,7 @@ from hilcell.calibration.causes import Differences
 from hilcell.cell.file import load_cell
 from hilcell.errors import DeviceError
 from hilcell.geometry.kinematics import forward
-from hilcell.model.suspicion import Cause, Suspicion, blamed, suspected_in
+from hilcell.model.verdicts import Cause, Suspicion, blamed, suspected_in
 from hilcell.ports import Array
 from procedures.plan import poses_at
 from tests.whole.bench import sweep

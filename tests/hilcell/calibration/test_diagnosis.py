@@ -26,7 +26,7 @@ from hilcell.journal.runs import JOURNAL
 from hilcell.model.frame import Frame, MeasuredBase
 from hilcell.model.plan import PreviousReference
 from hilcell.model.point import Point
-from hilcell.model.suspicion import Cause, Suspicion
+from hilcell.model.verdicts import Cause, Suspicion
 from hilcell.ports import Array
 from procedures.plan import joints_for
 from procedures.validate import targets

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-import hilcell.cell.addresses as places_module
-from hilcell.cell.addresses import places
-from hilcell.cell.devices import device_addresses
+import hilcell.cell.devices as places_module
+from hilcell.cell.devices import device_addresses, places
 from hilcell.cell.file import load_cell
 
 LINE = {"driver": "serial", "channel": "socket://10.0.0.1:4001"}

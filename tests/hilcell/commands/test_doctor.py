@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from hilcell.alarms.catalogue import catalogue
-from hilcell.cell.addresses import THIS_MACHINE
+from hilcell.cell.devices import THIS_MACHINE
 from hilcell.commands import doctor
 from hilcell.run.cell_lock import lock_of_device, locked
 from tests.hilcell.cell.packages import install

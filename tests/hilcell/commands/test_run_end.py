@@ -26,8 +26,7 @@ from hilcell.geometry.frames import FrameError
 from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.runs import read_log
 from hilcell.model.events import LinkCounted
-from hilcell.model.suspicion import Cause, Suspicion
-from hilcell.model.verdicts import decode_verdict
+from hilcell.model.verdicts import Cause, Suspicion, decode_verdict
 from hilcell.ports import RecordingEnded
 from hilcell.report.export import xlsx_bytes
 from hilcell.report.facts import read_facts

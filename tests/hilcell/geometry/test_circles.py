@@ -7,14 +7,17 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
 from hilcell.cell.file import load_cell
-from hilcell.geometry.circles import (
+from hilcell.geometry.frames import (
     Circle,
+    FrameError,
+    apply,
     base_frame,
     base_frame_covariance,
     fit_circle,
+    inverse,
+    pose_from_zyx,
     reading_covariance,
 )
-from hilcell.geometry.frames import FrameError, apply, inverse, pose_from_zyx
 from hilcell.geometry.kinematics import forward
 
 CELL = load_cell("paper")
