@@ -188,7 +188,7 @@ REVOKE = """
 import os, sys
 from pathlib import Path
 from types import SimpleNamespace
-from hilcell.cell import addresses
+from hilcell.cell import devices
 from hilcell.commands.cli import main
 revoke = ["revoke", "2-made", "--runs", sys.argv[1], "--reason", "a crash"]
 assert [main(revoke), main(revoke)] == [0, 2]  # nothing can be loaded without rights
