@@ -97,7 +97,8 @@ class LeicaEmsconTracker:
         self.settings = EmsconSettings(self._ask, self._numbers_of)
         self._numbers: dict[str, int] = {}
         self._reflector = ""
-        self._arrived_s = 0.0
+        self._arrived_s = 0.0  # of the newest bytes
+        self._taken_s = 0.0  # of those of the newest result
         self._air_measured = False
         self._results = 0  # since the start was acknowledged
 
@@ -306,6 +307,7 @@ class LeicaEmsconTracker:
         while (packet := self.next_packet(deadline)) is not None:
             emscon.check_measured(packet, Single, "measure")
             if isinstance(packet, Single):
+                self._taken_s = self._arrived_s
                 return packet
         found = f"acknowledged, but no result came within {limit_s:.1f} s"
         raise TRACKER.no_reading("HC-T13", "measure", found, waited_s=limit_s)
@@ -342,7 +344,7 @@ class LeicaEmsconTracker:
             std_mm = repeats_std(points_mm, self._options.max_std_mm)
         air = Air(*results[-1].air) if self._air_measured else None
         mean_mm = points_mm.mean(axis=0)
-        return TrackerReading(mean_mm, std_mm, samples, reflector, air, self._arrived_s)
+        return TrackerReading(mean_mm, std_mm, samples, reflector, air, self._taken_s)
 
     # -- packets ------------------------------------------------------------------------------
 

@@ -88,6 +88,17 @@ def test_one_measurement(tracker: Quick) -> None:
     assert tracker.peer.commands[before:] == [55, 49, 41]
 
 
+def test_a_reading_is_as_old_as_its_result(tracker: Quick) -> None:
+    def late(_: bytes) -> list[bytes]:
+        tracker.time.wait(0.3)
+        return [reply(41, tracker.peer.settings[41])]
+
+    tracker.peer.answers[41] = late  # the read-back behind the result
+    before_s = tracker.time.pc_s()
+    reading = tracker.measure(POINT, SMR, 1)
+    assert (reading.taken_s, tracker.time.pc_s()) == (before_s, before_s + 0.3)
+
+
 def test_several_samples_give_mean_and_spread(tracker: Quick) -> None:
     offsets = iter([-0.01, 0.0, 0.01])
     tracker.peer.answers[49] = lambda _: [reply(49), result(POINT + [next(offsets), 0, 0])]
