@@ -238,7 +238,7 @@ def end_text(log: Log) -> str:
     """Return the state of an ended run, and its outcome if it finished."""
     if log.end is None:
         return f"{log.state}, its process has died"
-    outcome = log.outcome
+    outcome = log.outcome_text
     if log.state != "finished":
         return outcome
     return log.state if outcome in NOT_JUDGED else f"{log.state}, {outcome}"

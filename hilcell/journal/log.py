@@ -447,13 +447,13 @@ class Log:
         return facts_of(self.verdicts)
 
     @property
-    def outcome(self) -> str:
+    def outcome_text(self) -> str:
         """Return the run's outcome as in the list of runs; "" without an end."""
         code = None if self.end is None else self.end.exit
         return outcome(self.facts, self.state, code, len(self.points))
 
     @property
-    def decided(self) -> Outcome | None:
+    def outcome(self) -> Outcome | None:
         """Return the outcome; None where nothing was judged and no check failed."""
         facts = self.facts
         if self.end is not None and self.end.exit and facts.verdict in ("", Outcome.ACCEPTED.text):

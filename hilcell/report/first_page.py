@@ -179,7 +179,7 @@ class FirstPage:
             return "revoked"
         if not self.facts.finished or self.facts.log.end is None:
             return "unfinished"
-        outcome, facts = self.facts.log.decided, self.facts.log.facts
+        outcome, facts = self.facts.log.outcome, self.facts.log.facts
         if outcome is None and facts.verdict == SUSPECTED:
             return "suspected"
         if not facts.judged:
@@ -198,7 +198,7 @@ class FirstPage:
             case "unfinished":
                 return "NO VERDICT"
             case "suspected" | "failed check" | "not judged":
-                return self.facts.log.outcome.partition(";")[0].upper()
+                return self.facts.log.outcome_text.partition(";")[0].upper()
         word = judged.short.upper()
         if not self.facts.inputs.simulated:
             return word
@@ -214,10 +214,10 @@ class FirstPage:
             later = f"; its calibration is superseded by {facts.superseded}" * bool(
                 facts.superseded
             )
-            return "bad" if end.exit else "good", facts.log.outcome + later
+            return "bad" if end.exit else "good", facts.log.outcome_text + later
         if end is None and state not in ("aborted", "faulted"):
             return "open", "not begun" if state == "idle" else f"not finished: {state}, engine gone"
-        return "open", f"not finished: {facts.log.outcome}"
+        return "open", f"not finished: {facts.log.outcome_text}"
 
     def sentence(self) -> str:
         facts = self.facts

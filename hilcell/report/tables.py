@@ -41,6 +41,7 @@ from hilcell.model.events import (
     VisitedOnceMore,
 )
 from hilcell.model.frame import MeasuredBase, MeasuredStation, TouchedBase
+from hilcell.model.outcome import Outcome
 from hilcell.model.point import BOTH, Point, Sent
 from hilcell.model.results import PaperRow, Repeated
 from hilcell.model.verdicts import Fitted, Verdict
@@ -430,9 +431,14 @@ class Tables:
         return Table(columns, extents, "Calibrated volume", note)
 
     def verdicts(self) -> Table:
+        def word(verdict: Verdict) -> str:
+            if verdict.holds:
+                return "passes"
+            return "undecided" if verdict.outcome is Outcome.UNDECIDED else "fails"
+
         columns: tuple[Column[tuple[str, Verdict]], ...] = (
             Column("judged", lambda row: verdict_label(row[0])),
-            Column("verdict", lambda row: "passes" if row[1].holds else "fails"),
+            Column("verdict", lambda row: word(row[1])),
             Column("by", lambda row: typeset(row[1].text)),
         )
         return Table(columns, self.facts.log.verdicts.items(), "Verdicts")

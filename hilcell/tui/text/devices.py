@@ -83,7 +83,7 @@ class DeviceText:
         """
         view = self.view
         if view.state in ("done", "intolerant"):
-            return "" if "validation" in view.log.result else view.log.outcome
+            return "" if "validation" in view.log.result else view.log.outcome_text
         plan = view.log.plan
         if plan is None or view.live or view.state == "idle":
             return ""

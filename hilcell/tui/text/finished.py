@@ -381,7 +381,7 @@ def finished_verdict(view: RunView) -> Finished | None:
     floors = [place.floor.mean for place in places.values() if place.floor is not None]
     outcome = Outcome.ACCEPTED
     if view.state != "done":
-        undecided = view.log.decided is Outcome.UNDECIDED
+        undecided = view.log.outcome is Outcome.UNDECIDED
         outcome = Outcome.UNDECIDED if undecided else Outcome.REJECTED
     limits = tolerance_limits(view.log.cell)
     return Finished(outcome, tuple(stations), limits, max(floors, default=math.nan))

@@ -353,8 +353,8 @@ class RunText:
         view = self.view
         if view.state != "intolerant":
             return STATES[view.state]
-        words = view.log.outcome.partition(";")[0]
-        return words.upper(), "ask" if view.log.decided is Outcome.UNDECIDED else "fault"
+        words = view.log.outcome_text.partition(";")[0]
+        return words.upper(), "ask" if view.log.outcome is Outcome.UNDECIDED else "fault"
 
     def role(self) -> str:
         """Return the role of the state's colour; RUNNING is not bright without a fresh status."""

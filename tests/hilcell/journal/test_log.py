@@ -105,7 +105,7 @@ def test_a_run_that_judged_nothing(tmp_path: Path, points: int, end: int | None,
         writer.state("run", "finished")
         writer.journal.append("end", "", {"state": "finished", "exit": end, "result": {}})
     writer.journal.close()
-    assert read_log(tmp_path / "r").outcome == row_of(tmp_path / "r").verdict == said
+    assert read_log(tmp_path / "r").outcome_text == row_of(tmp_path / "r").verdict == said
 
 
 def test_a_model_whose_places_were_not_validated_is_in_no_tolerance() -> None:

@@ -24,7 +24,7 @@ from hilcell.report.drawings.views import plan_view
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.first_page import Certificate, FirstPage
 from hilcell.report.html import report_html
-from hilcell.report.tables import typeset
+from hilcell.report.tables import Tables, typeset
 from hilcell.report.timeline import timeline
 from tests.hilcell import verdicts
 from tests.hilcell.commands.finished_runs import MADE, REDO, finished
@@ -65,6 +65,16 @@ def test_the_verdict_in_a_word(
 ) -> None:
     facts = judged(tmp_path / "r", code=code, plan={"simulated": simulated}, **more)
     assert FirstPage(facts).verdict_title() == word
+
+
+@pytest.mark.parametrize(
+    ("more", "word"), [({}, "passes"), ({"holds": False}, "fails"), (DOUBTED, "undecided")]
+)
+def test_the_table_of_verdicts_calls_each_as_the_first_page(
+    tmp_path: Path, more: dict[str, Any], word: str
+) -> None:
+    (row,) = Tables(judged(tmp_path / "r", code=1, **more)).verdicts().texts()
+    assert row[1] == word
 
 
 TURNED: dict[str, Any] = {
