@@ -178,7 +178,7 @@ class Revisits:
                 session.flange_point(id, station, joints_rad, nominal_mm=nominal_mm, retake=again)
         session.close_step()
         newest = max(log.recorded(log.point(visit.id)) for visit in poses)
-        judged = log.judged.get(SecondVisits(log, self._kind).verdict_key)
+        judged = log.verdict_records.get(SecondVisits(log, self._kind).verdict_key)
         if judged is None or judged.seq < newest:
             self._judge(session)
 

@@ -194,7 +194,7 @@ class _Raised:
                 return
 
     def verdicts(self) -> Iterator[Finding]:
-        for key, record in self.log.judged.items():
+        for key, record in self.log.verdict_records.items():
             verdict = self.log.verdicts[key]
             if not verdict.holds:
                 code = code_of_verdict(key, verdict.outcome)

@@ -26,7 +26,7 @@ from hilcell.calibration.influence import (
     Bounds,
     Influence,
     NoBound,
-    Uncertainty,
+    UncertaintyBudget,
     combined_bounds,
     motion,
     moved_frame,
@@ -57,13 +57,13 @@ TEMPERATURE = "Temperature of the arm"
 DRILL = "Drill's offset"
 
 
-def target_uncertainty(log: Log) -> Uncertainty:
+def target_uncertainty(log: Log) -> UncertaintyBudget:
     if not visits_mm(log):
-        return Uncertainty(missing=NO_VISITS)
+        return UncertaintyBudget(missing=NO_VISITS)
     stated = log.cell.uncertainty
     lines, centring_mm = _Lines(log), stated.smr_centring_limit_mm
     centring = f"limit ±{centring_mm:g} mm of the optics against the sphere, on the flange"
-    return Uncertainty(
+    return UncertaintyBudget(
         [
             lines.repeatability(),
             lines.approach(),
@@ -223,11 +223,11 @@ def _limit(name: str, how: str, limit_mm: float, source: str = ASSUMED) -> Influ
 
 
 def with_drill(
-    stated: Uncertainty,
+    stated: UncertaintyBudget,
     offset_mm: tuple[float, float, float],
     u_mm: float = 0.0,
     bounds_deg: Array | None = None,
-) -> Uncertainty:
+) -> UncertaintyBudget:
     """Budget of a drill at ``offset_mm`` (1 sigma ``u_mm``) from the reflector in {T}. Bounds of
     corrected orientation ``bounds_deg`` (N,) replace the stated limit. Raises `NoBound`.
     """

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hilcell.atomic_files import write_whole
-from hilcell.calibration.influence import SIZE, NoBound, Uncertainty
+from hilcell.calibration.influence import SIZE, NoBound, UncertaintyBudget
 from hilcell.calibration.tool_point import AT_REFLECTOR, Tip
 from hilcell.cell.settings import SettingsError, read_file
 from hilcell.compensation.correction import corrected_poses
@@ -154,14 +154,14 @@ class Calibration(msgspec.Struct, frozen=True, dict=True):
     pitch_mm: float
     grid_errors_mm: list[list[list[tuple[float, float, float]]]]
     model: ModelEntry
-    uncertainty: Uncertainty
+    uncertainty: UncertaintyBudget
     lost_motion: LostMotion
     verdicts: dict[str, Judged]
     failed: dict[str, str]
     targets: Targets | None = None
 
     @property
-    def budget(self) -> Uncertainty:
+    def budget(self) -> UncertaintyBudget:
         """Budget of corrected targets; raises `NoBound` where there is none."""
         if self.uncertainty.missing:
             raise NoBound(self.uncertainty.missing)

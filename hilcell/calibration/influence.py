@@ -104,7 +104,7 @@ class NoBound(HilcellError):
         super().__init__(f"no 95 % bounds of corrected targets: {reason}")
 
 
-class Uncertainty(msgspec.Struct, frozen=True):
+class UncertaintyBudget(msgspec.Struct, frozen=True):
     """Budget as stored in a calibration file: lines for all stations and for each.
 
     ``growth_per_k``: of the arm, whose temperature is known only in use; ``air_range_k``: used

@@ -162,7 +162,7 @@ def show(args: Show) -> int:
         "sessions": log.session,
         "link": log.link.counts if log.link is not None else None,
         "link_warning": (log.link.warning or None) if log.link is not None else None,
-        "verdicts": {key: record.body for key, record in log.judged.items()},
+        "verdicts": {key: record.body for key, record in log.verdict_records.items()},
         "result": result,
     }
     if args.json:

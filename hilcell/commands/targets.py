@@ -95,22 +95,28 @@ def _plan_facts(planned: HolePlan) -> dict[str, object]:
             "rail_mm": each.station.rail_mm,
             "holes": each.holes,
             "targets": as_listed(each.poses).tolist(),  # x, y, z, a, b, c in {W}, in the same order
-            **travel(each.travel_mm, each.bound_mm),
+            **travel(each.travel_mm, each.travel_bound_mm),
         }
         for each in planned.stations
     ]
     unreached: list[str] = []  # a plan that misses holes is refused
-    total = travel(planned.travel_mm, planned.bound_mm)
+    total = travel(planned.travel_mm, planned.travel_bound_mm)
     return {"stations": stations, **total, "unreached": unreached}
 
 
 def _print_plan(cell: Cell, planned: HolePlan) -> None:
     rows: list[tuple[str, float | None, int, float, float]] = [
-        (each.station.name, each.station.rail_mm, len(each.holes), each.travel_mm, each.bound_mm)
+        (
+            each.station.name,
+            each.station.rail_mm,
+            len(each.holes),
+            each.travel_mm,
+            each.travel_bound_mm,
+        )
         for each in planned.stations
     ]
     count = sum(row[2] for row in rows)
-    rows.append(("all", None, count, planned.travel_mm, planned.bound_mm))
+    rows.append(("all", None, count, planned.travel_mm, planned.travel_bound_mm))
     columns = listed(
         "station", ("rail", "mm", ".2f"), ("holes", "", "d"), ("travel", "mm", ".1f"),
         ("lower bound", "mm", ".1f"), ("ratio", "", ".4f"),

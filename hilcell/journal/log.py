@@ -236,7 +236,7 @@ class Log:
         self.celsius: dict[str, float] = {}  # by point, with a weather station
         self.frames: dict[str, Frame] = {}
         self.verdicts: dict[str, Verdict] = {}
-        self.judged: dict[str, Record] = {}  # the verdicts' records
+        self.verdict_records: dict[str, Record] = {}
         self.events: list[Record] = []
         self.state: RunState = "idle"
         self.calibration: CalibrationState = "unknown"
@@ -283,7 +283,7 @@ class Log:
                 self.frames[record.key] = fact
                 self._carry_nests(record.key, record.seq)
             case Verdict():
-                self.verdicts[record.key], self.judged[record.key] = fact, record
+                self.verdicts[record.key], self.verdict_records[record.key] = fact, record
             case Ended():
                 self.end = fact
             case Intended():

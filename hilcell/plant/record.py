@@ -105,7 +105,7 @@ def run_record(
             {"key": key, "matrix": each.matrix, "covariance": each.covariance or None}
             for key, each in log.frames.items()
         ],
-        VERDICT: [_verdict(log, record) for record in log.judged.values()],
+        VERDICT: [_verdict(log, record) for record in log.verdict_records.values()],
         DEVICE: _numbered(_columns(DEVICE, each) for each in log.assets),
         ALARM: _numbered(
             {

@@ -38,7 +38,7 @@ class StationPlan:
     holes: list[str]
     poses: Array
     travel_mm: float
-    bound_mm: float
+    travel_bound_mm: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +52,8 @@ class HolePlan:
         return sum(each.travel_mm for each in self.stations)
 
     @property
-    def bound_mm(self) -> float:
-        return sum(each.bound_mm for each in self.stations)
+    def travel_bound_mm(self) -> float:
+        return sum(each.travel_bound_mm for each in self.stations)
 
 
 def ratio(travel_mm: float, bound_mm: float) -> float:
@@ -189,7 +189,11 @@ class Reach:
         poses = self._holes.poses()[visit, self.turn[visit, column]]
         names = [self._holes.names[each] for each in visit]
         return StationPlan(
-            self._stations[column], names, zyx_from_pose(poses), found.travel_mm, found.bound_mm
+            self._stations[column],
+            names,
+            zyx_from_pose(poses),
+            found.travel_mm,
+            found.travel_bound_mm,
         )
 
     def _in_base(self, station: Station, poses: Array) -> Array:

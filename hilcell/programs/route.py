@@ -48,7 +48,7 @@ class Route:
 
     order: Ints
     travel_mm: float
-    bound_mm: float
+    travel_bound_mm: float
 
 
 def route(points_mm: Array) -> Route:

@@ -302,7 +302,7 @@ class StationJobs:
             "sheet": SHEET,
             "stations": [each.facts for each in self.stations],
             "travel_mm": self.whole.travel_mm,
-            "bound_mm": self.whole.bound_mm,
+            "bound_mm": self.whole.travel_bound_mm,
         }
 
     def write(self, folder: Path, inputs: Iterable[Path]) -> list[str]:

@@ -96,7 +96,7 @@ def quantity(
 def dcc_bytes(facts: Facts) -> bytes:
     """Return the certificate; raises `NotWritten` where the run has judged no correction."""
     page, content = FirstPage(facts), _Certificate(facts)
-    if facts.log.calibration != "validated" or not page.judged_places():
+    if facts.log.calibration != "validated" or not page.station_verdicts():
         raise NotWritten(
             f"run {facts.run}: no certificate, its calibration is "
             f"{facts.log.calibration.replace('_', ' ')}; expected one whose targets were measured "
@@ -177,7 +177,7 @@ class _Certificate:
     def errors(self) -> Iterator[Series]:
         page = FirstPage(self.facts)
         for row in Tables(self.facts).validated_rows():
-            judged = row.way == Sent.CHOSEN and row.place in page.judged_places()
+            judged = row.way == Sent.CHOSEN and row.place in page.station_verdicts()
             limits = [self._limit(each) for each in page.results_at(row.place)] if judged else []
             yield _series(row.place, row.way, row.how, self._figures(row, *limits))
 

@@ -211,7 +211,7 @@ def json_bytes(facts: Facts) -> bytes:
         "fault": log.fault,
         "points": [dict(zip(keys, row, strict=True)) for row in table.rows],
         "frames": log.frames,
-        "verdicts": {key: record.body for key, record in log.judged.items()},
+        "verdicts": {key: record.body for key, record in log.verdict_records.items()},
         "events": [record.event(facts.run) for record in log.events],
         "result": facts.result,
     }

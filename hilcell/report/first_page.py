@@ -80,7 +80,7 @@ class FirstPage:
     def results_table(self, targets: TargetBudget) -> Table:
         if is_pose_test(self.facts):
             return PoseReport(self.facts).results_table()
-        left = len(self.judged_places()) - len(self._shown())
+        left = len(self.station_verdicts()) - len(self._shown())
         note = f"{left} stations further from their limits: see Verdicts." if left else ""
         results = [result for name in self._shown() for result in self.results_at(name)]
         if results and (bound := self.bound_result(targets)) is not None:
@@ -91,7 +91,7 @@ class FirstPage:
         """Return the orientation nearest to its limit, or a pose test's; nothing without limits."""
         if is_pose_test(self.facts):
             return PoseReport(self.facts).orientation_results()
-        turns = {name: each.orientation for name, each in self.judged_places().items()}
+        turns = {name: each.orientation for name, each in self.station_verdicts().items()}
         known = {name: turn for name, turn in turns.items() if turn is not None}
         limit_deg, results = self.facts.cell.validation.max_tolerance_deg, []
         if known and limit_deg is not None:
@@ -115,7 +115,7 @@ class FirstPage:
                    form="s"),
         )  # fmt: skip
 
-    def judged_places(self) -> dict[str, Judged]:
+    def station_verdicts(self) -> dict[str, Judged]:
         return {
             place: judged
             for place, stations in places(self.facts.cell).items()
@@ -125,7 +125,7 @@ class FirstPage:
 
     def _shown(self) -> list[str]:
         """Return the stations on the page: those nearest to a limit, in the cell's order."""
-        judged = self.judged_places()
+        judged = self.station_verdicts()
         nearest = sorted(
             judged, key=lambda name: judged[name].max_mm / judged[name].max_tolerance_mm
         )
@@ -134,7 +134,7 @@ class FirstPage:
 
     def nearest_results(self, targets: TargetBudget) -> list[tuple[str, Result]]:
         """Return mean and largest error nearest to their limits, and the largest bound, named."""
-        pairs = {name: self.results_at(name) for name in self.judged_places()}
+        pairs = {name: self.results_at(name) for name in self.station_verdicts()}
         if not pairs:
             return []
         results = []
@@ -154,7 +154,7 @@ class FirstPage:
         return Result("Largest 95 % bound of a target", limit_mm, None, bound_mm, None)
 
     def results_at(self, name: str) -> tuple[Result, Result]:
-        each, series = self.judged_places()[name], validation(self.facts.log, [name])
+        each, series = self.station_verdicts()[name], validation(self.facts.log, [name])
         before, after = (series.get(how) for how in BOTH)
         sent, count = (0 if errors is None else len(errors) for errors in (before, after))
         explained = each.holds or each.why != each.decision
@@ -246,7 +246,7 @@ class FirstPage:
 
     def deciding(self) -> str:
         """The stations and figures by which the run does not pass, after a colon."""
-        failed = {place: each for place, each in self.judged_places().items() if not each.holds}
+        failed = {place: each for place, each in self.station_verdicts().items() if not each.holds}
         outcomes = [each.outcome for each in failed.values()]
         if not outcomes:
             return ""

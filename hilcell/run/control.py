@@ -174,10 +174,10 @@ class Control:
     Raises `StorageError`, and leaves nothing behind, where its files cannot be written.
     """
 
-    def __init__(self, folder: Path, engine: _Runner) -> None:
+    def __init__(self, folder: Path, runner: _Runner) -> None:
         self._file = folder / ENGINE
         with ExitStack() as undo:
-            path = self._listen(engine, undo)
+            path = self._listen(runner, undo)
             # A name that is not UTF-8 matches no folder: a copy is then not recognized.
             place = os.fsencode(folder.resolve()).decode(errors="replace")
             where = msgspec.json.encode(EngineFile(os.getpid(), str(path), place))
@@ -195,12 +195,12 @@ class Control:
         )
         self._thread.start()
 
-    def _listen(self, engine: _Runner, undo: ExitStack) -> Path:
+    def _listen(self, runner: _Runner, undo: ExitStack) -> Path:
         try:
             self._private = Path(tempfile.mkdtemp(prefix="hilcell-"))
             undo.callback(shutil.rmtree, self._private, ignore_errors=True)
             path = self._private / "control"
-            self._server = _Server(str(path), engine)
+            self._server = _Server(str(path), runner)
             undo.callback(self._server.server_close)
             path.chmod(0o600)
         except OSError as error:
@@ -228,8 +228,8 @@ class _Server(socketserver.ThreadingUnixStreamServer):
     daemon_threads = True
     request_queue_size = 128  # while the process is suspended
 
-    def __init__(self, path: str, engine: _Runner) -> None:
-        self.engine, self.connections = engine, set[socket.socket]()
+    def __init__(self, path: str, runner: _Runner) -> None:
+        self.runner, self.connections = runner, set[socket.socket]()
         super().__init__(path, _Handler)
 
     def end_connections(self) -> None:
@@ -258,42 +258,42 @@ class _Handler(socketserver.StreamRequestHandler):
 
     def finish(self) -> None:
         self.server.connections.discard(self.connection)
-        if self.attends and self.server.engine.watched(-1) == 0:
-            self.server.engine.post("lost")
+        if self.attends and self.server.runner.watched(-1) == 0:
+            self.server.runner.post("lost")
         with suppress(OSError):
             super().finish()
 
     def _answer(self, line: bytes) -> Refusal | dict[str, object]:
-        engine = self.server.engine
+        runner = self.server.runner
         try:
             request = decoded(line, Request)
         except (msgspec.DecodeError, UnicodeDecodeError):
             return Refusal(error=f"commands: {', '.join(COMMANDS)}")
         if request.command == "stop":
-            engine.stop()  # before anything else is done, and however late
+            runner.stop()  # before anything else is done, and however late
         elif refused := request.too_late() or self._do(request):
             return Refusal(error=refused)
-        return engine.status().answer()
+        return runner.status().answer()
 
     def _do(self, request: Request) -> str:
         """Perform a request; return its refusal, else ""."""
-        engine = self.server.engine
+        runner = self.server.runner
         match request.command:
-            case "proceed" if request.until and (refused := engine.proceed_refusal(request.until)):
+            case "proceed" if request.until and (refused := runner.proceed_refusal(request.until)):
                 return refused
             case "pause" | "proceed" | "abort":
-                engine.post(request.command)
+                runner.post(request.command)
             case "answer":
-                return engine.answer()
+                return runner.answer()
             case "retake":
-                return engine.retake(request.key)
+                return runner.retake(request.key)
             case "acknowledge":
-                return engine.acknowledge(
+                return runner.acknowledge(
                     AlarmsAcknowledged(codes=list(request.codes), until=request.until)
                 )
             case "attend" | "leave" if self.attends != (request.command == "attend"):
                 self.attends = not self.attends
-                engine.watched(1 if self.attends else -1)
+                runner.watched(1 if self.attends else -1)
         return ""
 
 

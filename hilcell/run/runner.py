@@ -117,7 +117,7 @@ class Runner:
                 return self._end(self._perform())
             except StorageError as error:
                 self._stop.set()
-                self._safe_stop.wait()
+                self._safe_stop.stop_and_wait()
                 self._close_devices()
                 self.fault = error
                 return EXIT_STORAGE
@@ -311,7 +311,7 @@ class Runner:
 
     def _stop_worker(self, command: str) -> Exception:
         self._stop.set()
-        self._note(SafeStopSent, self._safe_stop.wait())
+        self._note(SafeStopSent, self._safe_stop.stop_and_wait())
         if self._life.may_trigger("stop"):
             self._life.fire("stop")
         if self._worker.ended_within(WORKER_S):
@@ -332,7 +332,7 @@ class Runner:
             self._life.fire("stop", reason=str(error))  # aborted at a checkpoint: all at rest
         elif error is not None and not self._stop.is_set():
             self._stop.set()
-            self._note(partial(SafeStopSent, cause=str(error)), self._safe_stop.wait())
+            self._note(partial(SafeStopSent, cause=str(error)), self._safe_stop.stop_and_wait())
             self._worker.ended_within(WORKER_S)
         began_s = time.monotonic()
         problems = self._close_devices()

@@ -2,7 +2,7 @@
 
 Threads that send it are ready from the start of a run; the thread that requests the stop wakes them
 and sends frames itself, so scheduling does not matter. A stop waits for no queue, file or other
-device; a driver may wait for the lock of its wire, 0.1 s at most.
+device; a driver may wait for the lock of its wire: of CAN for 0.1 s, of RTDE until a packet is out.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ class SafeStop:
     def trigger(self) -> None:
         """Send the stop frames; a device that hangs blocks this thread only."""
         self._go.set()
-        self._calls.run_waiting()
+        self._calls.run_pending()
 
-    def wait(self) -> dict[str, Exception]:
+    def stop_and_wait(self) -> dict[str, Exception]:
         """Stop, wait until all frames are sent, and return the problems by device."""
         self._go.set()
         return self._calls.wait(2.0)  # s to put its stop frame on the wire
@@ -81,7 +81,7 @@ class ParallelCalls:
         for name in calls:
             threading.Thread(target=self._work, name=f"call {name}", daemon=True).start()
 
-    def run_waiting(self) -> None:
+    def run_pending(self) -> None:
         """Run, in this thread, the calls that no thread has begun; each is begun once."""
         while self._waiting:
             try:
@@ -110,4 +110,4 @@ class ParallelCalls:
     def _work(self) -> None:
         if self._go is not None:
             self._go.wait()
-        self.run_waiting()
+        self.run_pending()

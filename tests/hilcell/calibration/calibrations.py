@@ -10,7 +10,7 @@ import numpy as np
 
 from hilcell.calibration.decision_rule import Guard, decide, tolerance_limits
 from hilcell.calibration.file import SCHEMA, Calibration, LostMotion, ModelEntry, Validity
-from hilcell.calibration.influence import ASSUMED, MEASURED, Influence, Uncertainty, motion
+from hilcell.calibration.influence import ASSUMED, MEASURED, Influence, UncertaintyBudget, motion
 from hilcell.cell.file import load_cell
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.model import Measured, StaticPoses
@@ -66,7 +66,7 @@ def calibration(
         ["grid/0-0-0"],
         {"idw": {"mean": 0.2, "p95": 0.4, "max": 0.5}},
     )
-    uncertainty = Uncertainty(
+    uncertainty = UncertaintyBudget(
         [
             Influence("Robot repeatability", MEASURED, "visits", "4.2.4", "base",
                       motion(REPEATABILITY_MM**2), freedom=60.0),

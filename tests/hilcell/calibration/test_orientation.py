@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.file import Calibration
-from hilcell.calibration.influence import ASSUMED, Frame, Influence, Uncertainty, motion
+from hilcell.calibration.influence import ASSUMED, Frame, Influence, UncertaintyBudget, motion
 from hilcell.calibration.orientation import (
     MOVED_MM,
     check_orientation_limit,
@@ -178,7 +178,7 @@ def test_a_bound_adds_model_and_frames_in_the_axes_of_world(
     made = msgspec.structs.replace(
         one,
         stations={"S1100": msgspec.structs.replace(one.stations["S1100"], T_W_B=T_W_B.tolist())},
-        uncertainty=Uncertainty(lines, {"S1100": []}, 0.0, 0.0),
+        uncertainty=UncertaintyBudget(lines, {"S1100": []}, 0.0, 0.0),
     )
     bounds_deg = orientation_bounds_deg(made, "S1100", T_W_B[None])
     assert bounds_deg is not None

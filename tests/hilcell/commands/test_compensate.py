@@ -16,7 +16,7 @@ from hilcell.atomic_files import CSV, check_output
 from hilcell.calibration.budget import DRILL
 from hilcell.calibration.decision_rule import Guard, decide
 from hilcell.calibration.file import write_calibration
-from hilcell.calibration.influence import ASSUMED, Influence, Uncertainty, motion
+from hilcell.calibration.influence import ASSUMED, Influence, UncertaintyBudget, motion
 from hilcell.cell.file import load_cell
 from hilcell.commands.cli import main
 from hilcell.compensation.targets import COLUMN, HEADER, Stamp
@@ -143,7 +143,9 @@ def test_bounds_replace_no_other_file(desk: Workplace, name: str) -> None:
 
 def test_bounds_that_cannot_be_known(desk: Workplace) -> None:
     """Targets are corrected without; asked for, bounds are refused before anything is written."""
-    bare = msgspec.structs.replace(calibration(), uncertainty=Uncertainty(missing="no visits"))
+    bare = msgspec.structs.replace(
+        calibration(), uncertainty=UncertaintyBudget(missing="no visits")
+    )
     write_calibration(bare, desk.folder / "calibration.json")
     desk.refused("--bounds", desk.folder / "bounds.csv")
     assert desk.run().returncode == 0

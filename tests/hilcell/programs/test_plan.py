@@ -124,7 +124,7 @@ def test_stations_are_visited_along_the_rail_from_where_homing_leaves_the_slide(
     assert len(rails) >= 2
     assert rails == sorted(rails)
     assert found.travel_mm == sum(each.travel_mm for each in found.stations)
-    assert found.bound_mm <= found.travel_mm <= 1.05 * found.bound_mm
+    assert found.travel_bound_mm <= found.travel_mm <= 1.05 * found.travel_bound_mm
     assert (ratio(0.0, 0.0), ratio(3.0, 2.0)) == (1.0, 1.5)
     assert along_rail({4: 300.0, 2: 1900.0, 7: 1100.0}) == [4, 7, 2]
     assert along_rail({4: -2700.0, 2: -1100.0, 7: -1900.0}) == [2, 7, 4]

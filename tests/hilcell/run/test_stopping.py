@@ -19,7 +19,7 @@ def test_all_are_done_once_by_whoever_comes_first() -> None:
     acts = ParallelCalls({name: partial(done.append, name) for name in "abcdef"}, go)
     assert done == []
     go.set()
-    helpers = [threading.Thread(target=acts.run_waiting) for _ in range(4)]
+    helpers = [threading.Thread(target=acts.run_pending) for _ in range(4)]
     for helper in helpers:
         helper.start()
     for helper in helpers:
@@ -55,7 +55,7 @@ def test_a_device_that_hangs_keeps_no_other_waiting(
     until(lambda: len(stopped) == 2)
     assert hung not in stopped
     release.set()
-    assert stop.wait() == {}
+    assert stop.stop_and_wait() == {}
     asking.join()
     assert sorted(stopped) == ["Rail", "Robot", "Tracker"]
 
@@ -66,7 +66,7 @@ def test_problems_are_told_by_device(monkeypatch: pytest.MonkeyPatch) -> None:
 
     devices = desk(CELL, DrivenClock())
     monkeypatch.setattr(devices.rail, "stop", gone)
-    (problem,) = SafeStop(devices).wait().items()
+    (problem,) = SafeStop(devices).stop_and_wait().items()
     assert problem[0] == "Rail"
     assert isinstance(devices.robot, DeskRobot)
     assert devices.robot.stopped == 1

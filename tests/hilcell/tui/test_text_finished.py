@@ -269,7 +269,7 @@ def test_what_to_do_about_a_u_that_is_too_large_is_seen_in_24_rows() -> None:
     for name in PLACES:
         judge(view, name, holds=False, decided=Outcome.UNDECIDED)
     t = view.records[-1].t
-    view.log.judged = {
+    view.log.verdict_records = {
         key: Record(900, t, "verdict", key, msgspec.to_builtins(verdict))
         for key, verdict in view.log.verdicts.items()
         if key.startswith("validation.")
