@@ -15,7 +15,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import Any, Literal
+from typing import Literal
 
 import msgspec
 
@@ -262,7 +262,7 @@ class Promise:
 
     def __init__(
         self,
-        check: Callable[[Any], None],
+        check: Callable[..., None],
         *ports: Port,
         paced: bool = False,
         real: bool = False,
@@ -279,7 +279,7 @@ class Promise:
         self._check(self._judge(bench))
 
 
-def promise(*ports: Port, **flags: bool) -> Callable[[Callable[[Any], None]], Promise]:
+def promise(*ports: Port, **flags: bool) -> Callable[[Callable[..., None]], Promise]:
     """Decorator: make a method a `Promise`, of all ports of its class or of some of them."""
     return lambda check: Promise(check, *ports, **flags)
 

@@ -20,20 +20,20 @@ RULE = (
 
 class Outcome(StrEnum):
     """Outcome of a figure, point, station or run, the worst first. ``text`` and ``short`` are for
-    people, ``decision`` names the uncertainty as well, ``decided`` joins a figure and its limit.
+    people, ``decision`` names the uncertainty as well, ``relation`` joins a figure and its limit.
     """
 
     text: str
     short: str
     decision: str
-    decided: str
+    relation: str
 
     def __new__(
-        cls, value: str, text: str = "", short: str = "", decision: str = "", decided: str = ""
+        cls, value: str, text: str = "", short: str = "", decision: str = "", relation: str = ""
     ) -> Self:
         member = str.__new__(cls, value)
         member._value_, member.text, member.short = value, text, short
-        member.decision, member.decided = decision, decided
+        member.decision, member.relation = decision, relation
         return member
 
     REJECTED = (
@@ -99,4 +99,4 @@ class Figure(NamedTuple):
 
     @property
     def why(self) -> str:
-        return f"{self.measured} {self.outcome.decided} {self.limit:g} {self.unit}".rstrip()
+        return f"{self.measured} {self.outcome.relation} {self.limit:g} {self.unit}".rstrip()

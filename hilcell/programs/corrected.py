@@ -193,15 +193,18 @@ class UsableCalibration:
         outside the calibrated volume or orientation.
         """
         command = compensate_targets(self.calibration, station, nominal, names, tip)
-        seen = poses_from_zyx(nominal) @ tip.T_D_T
+        reflector_poses = poses_from_zyx(nominal) @ tip.T_D_T
         try:
-            bounds_deg = orientation_bounds_deg(self.calibration, station, seen)
+            bounds_deg = orientation_bounds_deg(self.calibration, station, reflector_poses)
         except NoBound:
             bounds_deg = None
         bounds: Bounds | NoBound
         try:
             bounds = target_bounds(
-                self._with_drill(tip, cell, bounds_deg), station, seen, self.release.temperature
+                self._with_drill(tip, cell, bounds_deg),
+                station,
+                reflector_poses,
+                self.release.temperature,
             )
         except NoBound as reason:
             bounds = reason
