@@ -18,7 +18,7 @@ from hilcell.errors import HilcellError
 from hilcell.journal.runs import JOURNAL
 from hilcell.run.control import Command, order
 from hilcell.run.device_status import CellMonitor
-from tests.whole.bench import SMALL, command, sets
+from tests.whole.bench import SMALL, performed, sets
 
 RUN = "x"
 PROCEED_S = 0.08  # a pause is long enough for the devices' readings to be refreshed
@@ -112,7 +112,7 @@ class Bed:
         if self.apart:
             self._perform_apart(words, take)
             return
-        done = command(*words, hear=take)
+        done = performed(*words, hear=take)
         self.exits.append(done.returncode)
         self.errors += done.stderr
 
