@@ -288,7 +288,7 @@ def holes_samples() -> Iterable[bytes]:
 
 def control(data: bytes) -> None:
     handler = object.__new__(_Handler)
-    handler.server = cast("Any", SimpleNamespace(engine=StandIn("running")))
+    handler.server = cast("Any", SimpleNamespace(runner=StandIn("running")))
     handler.attends = False
     for line in data.split(b"\n"):
         msgspec.json.encode(handler._answer(line[: handler.LONGEST_REQUEST]))
