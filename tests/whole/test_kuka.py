@@ -56,10 +56,9 @@ def test_a_small_calibration_ends_in_tolerance(
 
 @pytest.mark.process
 def test_a_killed_engine_leaves_a_slide_that_brakes_by_itself(tmp_path: Path) -> None:
-    """It would be on its way for half a minute, however slow the PC that kills the engine."""
-    values = SLOW | {"rail.options.full_mm_s": "200.0", "rail.speed_mm_s": "2.0"}
-    with simulation(PACE, values=values) as cell:
-        words = sets(values | {"simulation.address": cell.control})
+    """At this pace it would be on its way for 14 s."""
+    with simulation(PACE / 4.0, values=SLOW) as cell:
+        words = sets(SLOW | {"simulation.address": cell.control})
         engine = Engine("run", "rail-survey", "--runs", tmp_path, "--unattended", *words)
         engine.until(lambda event: event.get("action") == "rail.move")
         port = int(cell.addresses["robot"]["port"])
