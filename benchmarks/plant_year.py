@@ -117,9 +117,9 @@ def mistakes(found: dict[str, Any]) -> list[str]:
         each["cell"] for each in found["robots"] if any(it["drifts"] for it in each["drift"])
     }
     return [
-        *([f"steps at {sorted(places)}, wanted {sorted(wanted)}"] if places != wanted else []),
+        *([f"steps at {sorted(places)}, expected {sorted(wanted)}"] if places != wanted else []),
         *([] if said else ["no alarm of the collision beside the step"]),
-        *([f"drifting: {sorted(drifting)}, wanted {WORN}"] if drifting != {WORN} else []),
+        *([f"drifting: {sorted(drifting)}, expected {WORN}"] if drifting != {WORN} else []),
     ]
 
 

@@ -169,11 +169,11 @@ class Compared:
         log = self.log
         points = log.select("validate", log.cell.grid.station, how=Sent.IDW)
         nominal_mm = np.array([point.nominal_mm for point in points])
-        wanted_mm = apply(inverse(log.matrix("base")), nominal_mm)
+        target_mm = apply(inverse(log.matrix("base")), nominal_mm)
         sent_mm = forward(log.cell.robot.arm(), self.commanded_rad(points))[:, :3, 3]
         grid, errors_mm = grid_of(log.cell), grid_errors_mm(log)
-        once_mm = wanted_mm - self._by_eqs_9_10(grid, errors_mm, wanted_mm)
-        twice_mm = wanted_mm - self._by_eqs_9_10(grid, errors_mm, grid.clamped(once_mm))
+        once_mm = target_mm - self._by_eqs_9_10(grid, errors_mm, target_mm)
+        twice_mm = target_mm - self._by_eqs_9_10(grid, errors_mm, grid.clamped(once_mm))
         return float(lengths_mm(sent_mm - twice_mm).max())
 
     def transfer(self) -> tuple[float, float]:

@@ -18,7 +18,7 @@ refuse() {
 
 found=$("$python" -c 'import sys, sysconfig; v = sys.version_info
 print("python%d.%d" % v[:2], sysconfig.get_platform())' 2>/dev/null) ||
-    refuse "$python does not run, wanted ${made_for%% *}; install it, or name it: PYTHON=/path/to/python3 sh install.sh"
+    refuse "$python does not run, expected ${made_for%% *}; install it, or name it: PYTHON=/path/to/python3 sh install.sh"
 [ "$found" = "$made_for" ] ||
     refuse "this archive is for $made_for, found $found; name a fitting one: PYTHON=/path/to/python3 sh install.sh, or make the archive with that python: make bundle PYTHON=.."
 sha256sum --check --quiet SHA256SUMS ||

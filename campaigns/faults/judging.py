@@ -55,7 +55,7 @@ def judged(fault: Fault, case: Case, ran: Ran, undisturbed: Ran) -> Judged:
     if not ran.struck:
         problems.append("the phase was not reached")
     if letter not in fault.ends + ALSO.get(case.phase, ""):
-        problems.append(f"{WORDS[letter]}, wanted one of {fault.ends}")
+        problems.append(f"{WORDS[letter]}, expected one of {fault.ends}")
     codes = fault.codes or ("HC-",)
     if "HC-R" in codes and case.phase in ASKED_AT_THE_CLOSE:
         codes = (*codes, NOT_AT_REST)

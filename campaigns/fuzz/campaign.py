@@ -43,7 +43,7 @@ class Budget(NamedTuple):
 
 @dataclass(frozen=True)
 class Fuzzed:
-    """``found`` is what was neither accepted nor refused as declared, or hung."""
+    """``found`` are inputs neither accepted nor refused as declared, or that hung."""
 
     name: str
     by: str

@@ -1,6 +1,6 @@
 """Parsers of the second makes' wires, each behind its own driver's wire, and of URScript programs.
 
-An input is what the wire brings, in pieces of the size that its first byte says; then it dies.
+An input arrives on the wire in pieces, of the size of its first byte; then the wire dies.
 """
 
 from __future__ import annotations

@@ -73,9 +73,9 @@ def _found(cell: Cell, log: Log, known: KnownLength) -> MeasuredLength:
     )
     celsius = [point.temperature_c for point in ends if point.temperature_c is not None]
     warm_k = float(np.mean(celsius)) - CERTIFIED_C if celsius else 0.0
-    wanted_mm = known.length_mm * (1.0 + known.expansion_um_m_k * 1e-6 * warm_k)
+    expected_mm = known.length_mm * (1.0 + known.expansion_um_m_k * 1e-6 * warm_k)
     coverage = 2.0  # k: about 95 %
-    return MeasuredLength(known.nests, wanted_mm, found_mm, coverage * math.sqrt(variance_mm2))
+    return MeasuredLength(known.nests, expected_mm, found_mm, coverage * math.sqrt(variance_mm2))
 
 
 def scale(log: Log) -> Suspicion | None:

@@ -193,7 +193,7 @@ class Body:
     fixed: Boxes
     carried: Boxes
 
-    def prove(self, start: Array, end: Array, wanted_mm: float) -> Proof:
+    def prove(self, start: Array, end: Array, required_mm: float) -> Proof:
         """Judge motions between postures (N, 7)."""
         travel = self.travel_mm(start, end)
         count = len(travel)
@@ -205,7 +205,7 @@ class Body:
         while len(motion):
             postures = start[motion] + middle[:, None] * way[motion]
             needed = half * travel[motion]
-            spare = self._least_mm(postures, needed + wanted_mm) - wanted_mm
+            spare = self._least_mm(postures, needed + required_mm) - required_mm
             done = (spare >= needed).all(axis=1)
             np.add.at(proven, motion[done], 2.0 * half)
             if done.all():

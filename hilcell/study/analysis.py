@@ -284,7 +284,7 @@ class Effect:
 
 @dataclass(frozen=True, slots=True)
 class Answers:
-    """All that is computed of a study's rows. ``share`` is what main effects alone explain.
+    """All that is computed of a study's rows. ``share`` is explained by main effects alone.
 
     It is NaN where no more points were done than the model has ``unknowns``.
     ``not_estimable`` says why effects have no figures.

@@ -113,7 +113,7 @@ CHOOSE = ("▲▼", "move")
 
 
 class FilterScreen(BaseScreen):
-    """A screen with rows and a filter; ``filter_text`` is what was typed."""
+    """A screen with rows and a filter; ``filter_text`` is the text typed."""
 
     in_text_box = (("Enter", "to the rows"),)  # from the filter
     filter_text = ""

@@ -23,7 +23,7 @@ def read_corrected(path: Path) -> tuple[list[str], Any, set[str]]:
 
 
 class Workplace:
-    """``source`` is what is corrected into ``out`` unless a call names others."""
+    """Corrects ``source`` into ``out`` unless a call names others."""
 
     def __init__(self, folder: Path, source: str, out: str) -> None:
         self.folder, self.source, self.out = folder, folder / source, folder / out
