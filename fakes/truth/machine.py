@@ -137,6 +137,50 @@ class TrackerSizes(Frozen, frozen=True, kw_only=True):
     room_swing_k: Annotated[float, Meta(ge=0, le=30)] = 0.8
 
 
+Node = Annotated[int, Meta(ge=1, le=127)]
+Scale = Annotated[float, Meta(ge=-1e6, le=1e6)]  # counts/mm; negative: counts towards the low end
+SpeedUnit = Literal["counts/s", "0.1 counts/s", "rpm", "mm/s"]
+
+
+class Drive(Frozen, frozen=True, kw_only=True):
+    """The settings of the rail's drive, unknown to the PC.
+
+    ``reference``: lost at power-off, kept (referenced, at ``zero_mm`` of the slide's travel), or of
+    an absolute encoder that reads 0 there. ``counts_per_turn`` of the motor, for speeds in rpm.
+    """
+
+    node: Node = 5
+    counts_per_mm: Scale = 1000.0
+    speed_unit: SpeedUnit = "counts/s"
+    counts_per_turn: Annotated[int, Meta(ge=1, le=1 << 24)] = 20_000
+    reference: Literal["lost", "kept", "absolute"] = "lost"
+    zero_mm: Annotated[float, Meta(ge=-1e5, le=1e5)] = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.counts_per_mm:
+            raise ValueError("counts_per_mm must not be 0")
+
+
+class StripHead(Frozen, frozen=True, kw_only=True):
+    """The settings of the strip's sensor: it reads 0 at ``zero_mm`` of the slide's travel."""
+
+    node: Node = 6
+    counts_per_mm: Scale = 100.0
+    zero_mm: Annotated[float, Meta(ge=-1e5, le=1e5)] = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.counts_per_mm:
+            raise ValueError("counts_per_mm must not be 0")
+
+
+class Controller(Frozen, frozen=True, kw_only=True):
+    """The settings of the robot's controller: its tool differs by ``tool_off_mm`` (3,) from the
+    reflector's place.
+    """
+
+    tool_off_mm: Point = (0.0, 0.0, 0.0)
+
+
 class Machine(Frozen, frozen=True, kw_only=True):
     """One kind of machine."""
 
@@ -150,6 +194,9 @@ class Machine(Frozen, frozen=True, kw_only=True):
     rail: RailSizes
     mounting: Mounting = field(default_factory=Mounting)
     tracker: TrackerSizes = field(default_factory=TrackerSizes)
+    drive: Drive = field(default_factory=Drive)
+    head: StripHead = field(default_factory=StripHead)
+    controller: Controller = field(default_factory=Controller)
 
     def __post_init__(self) -> None:
         if len(self.joint) != 6:
