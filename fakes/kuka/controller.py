@@ -59,6 +59,7 @@ def raw_members(text: str, kind: str = "") -> dict[str, str]:
 
 
 RAIL_DRIVER = "kuka-e1"
+PROGRAM = 4  # version of hilcell.src
 AXES = tuple(f"A{n}" for n in range(1, 7))
 FRAME = ("X", "Y", "Z", "A", "B", "C")
 
@@ -72,8 +73,11 @@ class ExternalAxis:
     STOP_MM_S2 = 800.0  # on a stop
     DITHER_MM, DITHER_SCOPE = 0.001, 7
 
-    def __init__(self, rail: RailTruth, faults: Faults, table: RailTable) -> None:
+    def __init__(
+        self, rail: RailTruth, faults: Faults, table: RailTable, limits_mm: tuple[float, float]
+    ) -> None:
         self._rail, self._faults, self._table = rail, faults, table
+        self.limits_mm = limits_mm
         self.held = True
         self.moving = False
         self._target_mm, self._speed_mm_s = 0.0, 0.0
@@ -81,9 +85,7 @@ class ExternalAxis:
         rail.master()
 
     def inside(self, target_mm: float) -> bool:
-        limit_mm = 0.5  # outside the travel
-        lowest_mm, highest_mm = self._table.travel_min_mm, self._table.travel_max_mm
-        return lowest_mm - limit_mm <= target_mm <= highest_mm + limit_mm
+        return self.limits_mm[0] <= target_mm <= self.limits_mm[1]
 
     def move(self, target_mm: float, percent: int, override: float) -> None:
         factor = self._faults.number("robot.slide_fast") or 1.0
@@ -156,14 +158,13 @@ class KrlController:
         self._lock = threading.RLock()
         cell, truth, faults = site.cell, site.truth, site.faults
         self._truth, self._motion, self._faults = truth, truth.robot, faults
+        self._arm = arm = controller_arm(cell)
         self._slide: ExternalAxis | None = None
         if cell.rail.driver == RAIL_DRIVER and isinstance(truth.rail, RailTruth):
-            self._slide = ExternalAxis(truth.rail, faults, cell.rail)
+            self._slide = ExternalAxis(truth.rail, faults, cell.rail, arm.slide_limits_mm)
         self._slide_mm = 0.0  # where it is held
-        self._arm = controller_arm(cell)
-        self._low_deg = np.array([joint.min_deg for joint in cell.robot.joint])
-        self._high_deg = np.array([joint.max_deg for joint in cell.robot.joint])
-        self._tool = dict(zip(FRAME, (*cell.robot.smr_mm, 0.0, 0.0, 0.0), strict=True))
+        self._limits_deg = [*arm.limits_deg.tolist(), arm.slide_limits_mm]
+        self._tool = dict(zip(FRAME, (*arm.tool_mm, 0.0, 0.0, 0.0), strict=True))
         self._target_deg = dict(zip(AXES, cell.robot.home_deg, strict=True))
         self._integers = dict.fromkeys(("HC_CMD", "HC_SEQ", "HC_OV_OLD", "HC_OV_SET"), 0)
         self._integers |= {"HC_VEL": 1, "HC_LIFE": 1500}  # %, ms
@@ -249,6 +250,12 @@ class KrlController:
             "$ACT_TOOL": lambda: str(self._faults.instead("robot.wrong_tool", 1)),
             "$ACT_BASE": lambda: str(self._faults.instead("robot.wrong_base", 0)),
             "$TOOL": lambda: aggregate("FRAME", self._tool),
+            "TOOL_DATA[1]": lambda: aggregate("FRAME", self._tool),
+            **{
+                f"${end}_END[{axis}]": partial(self._limit, axis - 1, side)
+                for side, end in enumerate(("SOFTN", "SOFTP"))
+                for axis in range(1, 8)
+            },
             "$BASE": lambda: aggregate("FRAME", dict.fromkeys(FRAME, 0.0)),
             "$ACCU_STATE": lambda: "#CHARGE_OK",
             "$TRAFONAME[]": self._identity,
@@ -262,7 +269,7 @@ class KrlController:
             "$AXIS_ACT": lambda: self._position("$AXIS_ACT"),
             "$AXIS_ACT_MEAS": lambda: self._position("$AXIS_ACT_MEAS"),
             "$POS_ACT": lambda: self._position("$POS_ACT"),
-            "HC_VER": lambda: "4",
+            "HC_VER": lambda: str(self._arm.program or PROGRAM),
             "HC_HELD": lambda: self._boolean(self._slide is None or self._slide.held),
             "HC_PLACE": lambda: f"{self._slide_mm:.5f}",
             "HC_TGT": lambda: aggregate("E6AXIS", self._target_deg, self.EXTERNAL),
@@ -274,6 +281,9 @@ class KrlController:
 
     def _integer(self, name: str) -> str:
         return str(self._integers[name])
+
+    def _limit(self, axis: int, side: int) -> str:
+        return f"{self._limits_deg[axis][side]:.5f}"
 
     def _identity(self) -> str:
         other = self._faults.take("robot.wrong_identity")
@@ -404,7 +414,8 @@ class KrlController:
         if (forbidden := self._slide_error()) != Error.OK:
             return forbidden
         target_deg = np.array([self._target_deg[axis] for axis in AXES])
-        inside = (target_deg >= self._low_deg) & (target_deg <= self._high_deg)
+        low_deg, high_deg = self._arm.limits_deg.T
+        inside = (target_deg >= low_deg) & (target_deg <= high_deg)
         if not inside.all() or self._faults.strikes("robot.softlimit"):
             return Error.OUT_OF_LIMITS
         motion = apply_start_faults(self._faults, self._truth, target_deg)

@@ -21,7 +21,7 @@ from msgspec import Meta, field
 from fakes.truth.transforms import Array, Chain, axes_from_dh, frame
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, convert, read_text, refuse, unreadable
-from hilcell.cell.tables import Frozen, Point, Pose, Six, Size, refuse_descending
+from hilcell.cell.tables import Frozen, Length, Point, Pose, Six, Size, Sweep, refuse_descending
 
 Angle = Annotated[float, Meta(ge=0, le=20_000)]  # urad: about a degree
 Offset = Annotated[float, Meta(ge=0, le=100)]  # mm
@@ -174,11 +174,21 @@ class StripHead(Frozen, frozen=True, kw_only=True):
 
 
 class Controller(Frozen, frozen=True, kw_only=True):
-    """The settings of the robot's controller: its tool differs by ``tool_off_mm`` (3,) from the
-    reflector's place.
+    """The settings of the robot's controller, where they are not those of the cell file.
+
+    The tool differs by ``tool_off_mm`` (3,) from the reflector's place. ``limits_deg`` are the
+    axes' software limits, ``slide_limits_mm`` those of E1; ``program`` is the version of the
+    resident program that was copied to it.
     """
 
     tool_off_mm: Point = (0.0, 0.0, 0.0)
+    limits_deg: list[Sweep] | None = None
+    slide_limits_mm: tuple[Length, Length] | None = None
+    program: Annotated[int, Meta(ge=0)] | None = None
+
+    def __post_init__(self) -> None:
+        if self.limits_deg is not None and len(self.limits_deg) != 6:
+            raise ValueError(f"limits_deg: expected six axes, got {len(self.limits_deg)}")
 
 
 class Machine(Frozen, frozen=True, kw_only=True):
@@ -286,6 +296,10 @@ class ControllerArm:
     chain: Chain
     model: str
     serial: int
+    tool_mm: Point  # {T} in the flange
+    limits_deg: Array  # (6, 2)
+    slide_limits_mm: tuple[float, float]
+    program: int | None  # version of the resident program; None for that of the simulated device
 
     def status(self, joints_rad: Array) -> int:
         """Return the status of joints (6,)."""
@@ -313,9 +327,21 @@ def controller_arm(cell: Cell) -> ControllerArm:
 
     A replayed cell has no machine: the arm follows the cell file's rows.
     """
-    replayed_serial = 860112  # the data contain none
     if cell.simulation is not None and cell.simulation.data:
-        name = cell.robot.name.replace(" ", "").replace("-", "_")
-        return ControllerArm(nominal_chain(cell), f"#{name} C4 FLR", replayed_serial)
-    machine = cell_machine(cell)
-    return ControllerArm(machine.chain(cell.robot.smr_mm), machine.model, machine.serial)
+        model = f"#{cell.robot.name.replace(' ', '').replace('-', '_')} C4 FLR"
+        serial = 860112  # the data contain none
+        chain, tool_mm, own = nominal_chain(cell), cell.robot.smr_mm, Controller()
+    else:
+        machine = cell_machine(cell)
+        model, serial, own = machine.model, machine.serial, machine.controller
+        x_mm, y_mm, z_mm = (
+            a + b for a, b in zip(cell.robot.smr_mm, own.tool_off_mm, strict=True)
+        )
+        tool_mm = (x_mm, y_mm, z_mm)
+        chain = machine.chain(tool_mm)
+    limits_deg = own.limits_deg or [(joint.min_deg, joint.max_deg) for joint in cell.robot.joint]
+    beyond_mm = 0.5  # of E1's software limits outside the travel
+    travel_mm = (cell.rail.travel_min_mm - beyond_mm, cell.rail.travel_max_mm + beyond_mm)
+    slide_limits_mm = own.slide_limits_mm or travel_mm
+    limits = np.array(limits_deg)
+    return ControllerArm(chain, model, serial, tool_mm, limits, slide_limits_mm, own.program)

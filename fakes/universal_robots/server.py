@@ -91,11 +91,9 @@ class UrController:
         self._lock = threading.RLock()
         self._truth, self._motion = site.truth, site.truth.robot
         self._faults, self._time, cell = site.faults, site.time, site.cell
-        self._arm = controller_arm(cell)
-        self._low_deg = np.array([joint.min_deg for joint in cell.robot.joint])
-        self._high_deg = np.array([joint.max_deg for joint in cell.robot.joint])
+        self._arm = arm = controller_arm(cell)
         self._full_rad_s = np.radians([joint.speed_deg_s for joint in cell.robot.joint])
-        self._tcp = np.array([*cell.robot.smr_mm, 0.0, 0.0, 0.0]) / 1000.0
+        self._tcp = np.array([*arm.tool_mm, 0.0, 0.0, 0.0]) / 1000.0
         # the registers that a client may write
         self.inputs: dict[str, float] = {f"input_int_register_{n}": 0 for n in self.INTEGERS}
         self.inputs |= {f"input_double_register_{n}": 0.0 for n in self.FLOATS}
@@ -263,7 +261,8 @@ class UrController:
             return Error.UNKNOWN_COMMAND
         target = [self.inputs[f"input_double_register_{n}"] for n in range(24, 30)]
         target_deg = np.degrees(target)
-        inside = (target_deg >= self._low_deg) & (target_deg <= self._high_deg)
+        low_deg, high_deg = self._arm.limits_deg.T
+        inside = (target_deg >= low_deg) & (target_deg <= high_deg)
         if not inside.all() or self._faults.strikes("robot.softlimit"):
             return Error.OUT_OF_LIMITS
         motion = apply_start_faults(self._faults, self._truth, target_deg)

@@ -8,7 +8,7 @@ import py_openshowvar
 import pytest
 
 from fakes.kuka.c3_server import C3Server
-from hilcell.cell.file import Cell
+from hilcell.cell.file import Cell, load_cell
 from tests.fakes.conftest import Served, served
 from tests.fakes.rail_bench import until
 from tests.fakes.wires import C3Client, connected, exactly, quiet
@@ -53,6 +53,28 @@ def test_position_request_of_the_page(robot: Robot) -> None:
     assert numbers(text)[:3] == pytest.approx([1895.18069, 0.0, 1996.12951], abs=1.1e-3)
     assert numbers(text)[3:5] == pytest.approx([0.0, 60.0], abs=1.2e-4)
     assert exactly(robot.client.wire, 3) == b"\x00\x01\x01"
+
+
+def test_a_controller_has_its_own_tool_limits_and_program() -> None:
+    """What was entered at the controller is not what the cell file has: its pose follows."""
+    limits = "[[-185, 185], [-140, -5], [-120, 155], [-350, 350], [-122, 122], [-350, 350]]"
+    entries = {
+        "tool_off_mm": "[0.0, 0.0, 20.0]",
+        "limits_deg": limits,
+        "slide_limits_mm": "[-20.0, 3020.0]",
+        "program": "3",
+    }
+    settings = {f"simulation.sizes.controller.{key}": text for key, text in entries.items()}
+    places = {}
+    for cell in (load_cell("paper"), load_cell("paper", settings)):
+        with served(C3Server, C3Client, cell) as robot:
+            read = robot.client.read
+            places[read("HC_VER")] = np.array(numbers(read("$POS_ACT"))[:3])
+            tool, ends = read("$TOOL"), (read("$SOFTN_END[2]"), read("$SOFTP_END[7]"))
+            assert tool == read("TOOL_DATA[1]")
+    assert numbers(tool) == [98.0, 0.0, 147.0, 0.0, 0.0, 0.0]
+    assert ends == ("-140.00000", "3020.00000")
+    assert np.linalg.norm(places["3"] - places["4"]) == pytest.approx(20.0, abs=0.01)
 
 
 def test_split_and_glued_requests(robot: Robot) -> None:
