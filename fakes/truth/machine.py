@@ -334,9 +334,7 @@ def controller_arm(cell: Cell) -> ControllerArm:
     else:
         machine = cell_machine(cell)
         model, serial, own = machine.model, machine.serial, machine.controller
-        x_mm, y_mm, z_mm = (
-            a + b for a, b in zip(cell.robot.smr_mm, own.tool_off_mm, strict=True)
-        )
+        x_mm, y_mm, z_mm = (a + b for a, b in zip(cell.robot.smr_mm, own.tool_off_mm, strict=True))
         tool_mm = (x_mm, y_mm, z_mm)
         chain = machine.chain(tool_mm)
     limits_deg = own.limits_deg or [(joint.min_deg, joint.max_deg) for joint in cell.robot.joint]
