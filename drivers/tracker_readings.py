@@ -52,6 +52,21 @@ def checked_request(near_mm: Array, samples: int = 1, operation: str = "measure"
     return near_mm
 
 
+def check_samples(samples: int) -> None:
+    """Refuse a measurement at the present aim without samples; raises `DeviceError`."""
+    if samples < 1:
+        found, expected = f"{samples} samples", ">= 1 sample"
+        raise TRACKER.failed("HC-T35", "measure", found, expected=expected)
+
+
+def checked_search(near_mm: Array, samples: int, radius_mm: float) -> Array:
+    """Return as `checked_request`; raises `DeviceError` for an impossible radius, too."""
+    if not 0.0 < radius_mm < np.inf:
+        found, expected = f"a radius of {radius_mm} mm", "> 0 mm"
+        raise TRACKER.failed("HC-T35", "search", found, expected=expected, radius_mm=radius_mm)
+    return checked_request(near_mm, samples, "search")
+
+
 def check_reflector(reflector: str, known: list[str], found: str) -> None:
     """Refuse a reflector without a constant in the tracker; ``found`` names those it has."""
     if reflector not in known:

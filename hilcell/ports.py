@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from hilcell.cell.file import Cell
 
 __all__ = [
-    "Air", "Array", "AxisReading", "Clock", "DeviceError", "DeviceRefused", "Exercise",
+    "Aims", "Air", "Array", "AxisReading", "Clock", "DeviceError", "DeviceRefused", "Exercise",
     "ExternalAxis", "HilcellError", "Identity", "InProcessCell", "JointSample",
     "LinkStatistics", "NoReading", "Rail", "RailReading", "RecordingEnded", "RepeatsRun",
     "Robot", "RobotDrivenRail", "RobotReading", "SimulatedCell", "Stopped", "Stream",
@@ -311,6 +311,32 @@ class TwoFaces(Protocol):
 
     def measure_back(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         """Measure as `Tracker.measure` in the second face; leave the tracker in the first."""
+
+
+@runtime_checkable
+class Aims(Protocol):
+    """A tracker whose beam a person can put on a reflector, and that can search widely.
+
+    A `NoReading` of a search states in its fields where the beam looked, if the tracker tells:
+    ``beam`` (3,), a unit vector in its frame, and ``searched_mm``, the radius of the search.
+    """
+
+    def release_beam(self) -> None:
+        """Let go of the reflector, so that a person can put the beam on another one."""
+
+    def measure_aimed(self, reflector: str, samples: int) -> TrackerReading:
+        """Measure the reflector that the beam is on now, wherever it is; mean of ``samples``.
+
+        The tracker is not moved. Raises `NoReading` where the beam is on none.
+        """
+
+    def search(
+        self, near_mm: Array, reflector: str, samples: int, radius_mm: float
+    ) -> TrackerReading:
+        """Measure as `Tracker.measure`, in a search of ``radius_mm`` around ``near_mm`` (3,).
+
+        Later measurements search within the radius of the options again.
+        """
 
 
 @runtime_checkable

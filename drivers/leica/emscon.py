@@ -10,6 +10,7 @@ after a change by another client, of which the tracker notifies without the valu
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -32,6 +33,7 @@ class Layout:
     """Numbers in the bodies of commands and replies that are no settings."""
 
     ENVIRONMENT = Struct("<3d")
+    DIRECTION = Struct("<2d")  # horizontal angle from x to y, zenith angle
     DISTANCE = Struct("<d")
     POSITION = Struct("<3di")
 
@@ -66,8 +68,10 @@ class Command(IntEnum):
     START_MEASUREMENT = 49
     STOP_MEASUREMENT = 52
     CHANGE_FACE = 53
+    GO_BIRD_BATH = 54
     GO_POSITION = 55
     FIND_REFLECTOR = 63
+    GET_DIRECTION = 66
     GET_TRACKER_INFO = 132
 
 
@@ -288,6 +292,16 @@ def air_problem(temperature_c: float, pressure_mbar: float, humidity_percent: fl
     return ""
 
 
+def direction(horizontal_rad: float, zenith_rad: float) -> list[float]:
+    """Return the unit vector (3,) of a beam at two angles, in the tracker's frame."""
+    across = math.sin(zenith_rad)
+    return [
+        across * math.cos(horizontal_rad),
+        across * math.sin(horizontal_rad),
+        math.cos(zenith_rad),
+    ]
+
+
 def possible(*values: float) -> bool:
     """Whether these are finite lengths within any tracker's reach, in whichever unit."""
     return all(abs(value) < FARTHEST for value in values)
@@ -376,6 +390,10 @@ class EmsconSettings:
         """Return a setting that is left unchanged, and must stay so."""
         self._recorded[setting] = found = self._numbers_of(setting.read, setting.layout)
         return found
+
+    def recorded(self, setting: Setting) -> tuple[float, ...]:
+        """Return the value of a setting that was written or recorded."""
+        return self._recorded[setting]
 
     def record_frame(self) -> None:
         """Record the frame in which the tracker measures; refuse one with a scale.

@@ -10,7 +10,7 @@ from __future__ import annotations
 import struct
 from collections import deque
 from collections.abc import Callable, Iterable
-from typing import Annotated, Self, TypeVar
+from typing import Annotated, NamedTuple, Self, TypeVar
 
 import msgspec
 import numpy as np
@@ -38,8 +38,10 @@ from drivers.supervision import Deadline, on_failure
 from drivers.tracker_readings import (
     Positive,
     check_reflector,
+    check_samples,
     check_serial,
     checked_request,
+    checked_search,
     leica_identity,
     matching_form,
     off_target,
@@ -66,11 +68,35 @@ from hilcell.wire.channel import Host, Port
 T = TypeVar("T")
 
 
+class Place(NamedTuple):
+    """Where a reflector (3,) is expected, tracker's frame, and how far from there it may be."""
+
+    near_mm: Array
+    radius_mm: float
+
+    def check(self, result: Single) -> None:
+        """Raise `NoReading` for a result elsewhere, `DeviceError` for one in other units."""
+        off_mm = float(np.linalg.norm(np.array(result.xyz) - self.near_mm))
+        if off_mm <= self.radius_mm:
+            return
+        units_mm = {
+            "metres": 1000.0, "micrometres": 0.001, "feet": 304.8, "yards": 914.4,
+            "inches": 25.4,
+        }  # fmt: skip
+        forms = {unit: unit_mm * np.array(result.xyz) for unit, unit_mm in units_mm.items()}
+        if not (unit := matching_form(self.near_mm, self.radius_mm, forms)):
+            raise off_target(off_mm, self.radius_mm)
+        found, xyz = f"the result {result.xyz} is in {unit}", result.xyz
+        raise TRACKER.failed("HC-T18", "measure", found, expected="mm", xyz=xyz, unit=unit)
+
+
 class LeicaEmsconTracker:
-    """Satisfies `hilcell.ports.Tracker`, `hilcell.ports.Streams` and `hilcell.ports.TwoFaces`."""
+    """Satisfies `hilcell.ports.Tracker`, and its `Streams`, `TwoFaces` and `Aims`."""
 
     AIR = "values that air can have"
-    SEARCH_MS = 10_000  # how long the tracker may search; less than MOVE_S
+    # How long the tracker may search; less than MOVE_S.
+    SEARCH_MS = 10_000
+    WIDE_SEARCH_MS = 25_000
 
     # Deadlines on the wire, in real time.
     REPLY_S = 5.0
@@ -120,14 +146,42 @@ class LeicaEmsconTracker:
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         near_mm = checked_request(near_mm, samples)
         self.point_at(near_mm, reflector)
-        return self._reading(near_mm, reflector, samples)
+        return self._reading(Place(near_mm, self._options.find_radius_mm), reflector, samples)
+
+    def release_beam(self) -> None:
+        """Send the beam home, from where a person carries the reflector or the beam elsewhere."""
+        self._drop_pending()
+        self._ask(Command.GO_BIRD_BATH, limit_s=self.MOVE_S)
+
+    def measure_aimed(self, reflector: str, samples: int) -> TrackerReading:
+        check_samples(samples)
+        self._drop_pending()
+        self._choose(reflector)
+        return self._reading(None, reflector, samples)
+
+    def search(
+        self, near_mm: Array, reflector: str, samples: int, radius_mm: float
+    ) -> TrackerReading:
+        near_mm = checked_search(near_mm, samples, radius_mm)
+        options, place = self._options, Place(near_mm, radius_mm)
+        self._drop_pending()
+        self.settings.write(Setting.SEARCH, radius_mm, self.WIDE_SEARCH_MS)
+        try:
+            self.point_at(near_mm, reflector)
+            reading = self._reading(place, reflector, samples)
+        except NoReading:
+            self.settings.write(Setting.SEARCH, options.find_radius_mm, self.SEARCH_MS)
+            raise
+        self.settings.write(Setting.SEARCH, options.find_radius_mm, self.SEARCH_MS)
+        return reading
 
     def measure_back(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         near_mm = checked_request(near_mm, samples)
         self.point_at(near_mm, reflector)
         self._turn_to(Value.SECOND_FACE)
+        place = Place(near_mm, self._options.find_radius_mm)
         try:
-            reading = self._reading(near_mm, reflector, samples)
+            reading = self._reading(place, reflector, samples)
         except NoReading:
             self._turn_to(Value.FIRST_FACE)
             raise
@@ -151,8 +205,7 @@ class LeicaEmsconTracker:
 
     def point_at(self, near_mm: Array, reflector: str) -> None:
         """Choose a reflector and catch it near (3,) mm; drop pending results first."""
-        while self.next_packet(Deadline(0.0)) is not None:
-            pass
+        self._drop_pending()
         self._choose(reflector)
         self._aim(near_mm)
 
@@ -254,15 +307,25 @@ class LeicaEmsconTracker:
                 self._find(near_mm)
             except NoReading as second:
                 second.found += f", after go position: {first.found}"
+                second.fields.update(self._beam())
                 raise
+
+    def _beam(self) -> dict[str, object]:
+        """Return where the beam looks after a search; {} for a controller that does not tell."""
+        answer = self._request(Command.GET_DIRECTION)
+        if answer.status or not answer.body:
+            return {}
+        beam = emscon.direction(*self._decoded(Layout.DIRECTION.unpack_from, answer.body))
+        radius_mm, _limit_ms = self.settings.recorded(Setting.SEARCH)
+        return {"beam": beam, "searched_mm": radius_mm}
 
     def _find(self, near_mm: Array) -> None:
         body = Layout.DISTANCE.pack(float(np.linalg.norm(near_mm)))
         self._ask(Command.FIND_REFLECTOR, body, limit_s=self.MOVE_S)
 
-    def _single(self, near_mm: Array) -> Single:
+    def _single(self, place: Place | None) -> Single:
         try:
-            self.start(near_mm)
+            self.start(None if place is None else place.near_mm)
             result = self._await_result()
             self._check_single()
         except NoReading as error:
@@ -275,14 +338,17 @@ class LeicaEmsconTracker:
                     "HC-T25", TRACKER.name, error.operation, found, act=error.act, fields=fields
                 ) from error
             raise
-        self._check(result, near_mm)
+        self._check(result, place)
         return result
 
-    def start(self, near_mm: Array) -> None:
-        """Start to measure; search once more where the beam has lost its reflector."""
+    def start(self, near_mm: Array | None) -> None:
+        """Start to measure; search once more near (3,) where the beam has lost its reflector.
+
+        None: measure where the beam is, or not at all.
+        """
         self.settings.verify()
         reply = self._request(Command.START_MEASUREMENT)
-        if reply.status == emscon.NOT_READY:
+        if near_mm is not None and reply.status == emscon.NOT_READY:
             self._find(near_mm)
             reply = self._request(Command.START_MEASUREMENT)
         if reply.status != 0:
@@ -312,32 +378,22 @@ class LeicaEmsconTracker:
         found = f"acknowledged, but no result came within {limit_s:.1f} s"
         raise TRACKER.no_reading("HC-T13", "measure", found, waited_s=limit_s)
 
-    def _check(self, result: Single, near_mm: Array) -> None:
+    def _check(self, result: Single, place: Place | None) -> None:
         if not emscon.possible(*result.xyz, *result.std, result.std_total):
             found = f"the result {result.xyz}, standard deviation {result.std_total:g}"
             raise TRACKER.no_reading(
                 "HC-T14", "measure", found, expected="a position in mm", xyz=result.xyz
             )
-        off_mm = float(np.linalg.norm(np.array(result.xyz) - near_mm))
-        radius_mm = self._options.find_radius_mm
-        if not off_mm <= radius_mm:
-            units_mm = {
-                "metres": 1000.0, "micrometres": 0.001, "feet": 304.8, "yards": 914.4,
-                "inches": 25.4,
-            }  # fmt: skip
-            forms = {unit: unit_mm * np.array(result.xyz) for unit, unit_mm in units_mm.items()}
-            if not (unit := matching_form(near_mm, radius_mm, forms)):
-                raise off_target(off_mm, radius_mm)
-            found, xyz = f"the result {result.xyz} is in {unit}", result.xyz
-            raise TRACKER.failed("HC-T18", "measure", found, expected="mm", xyz=xyz, unit=unit)
+        if place is not None:
+            place.check(result)
         if not 0.0 <= result.std_total <= self._options.max_std_mm:
             found = f"standard deviation {result.std_total:.4f} mm"
             raise scatter_error(found, self._options.max_std_mm, std_mm=result.std_total)
         if problem := emscon.air_problem(*result.air):
             raise TRACKER.no_reading("HC-T05", "measure", problem, expected=self.AIR)
 
-    def _reading(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
-        results = [self._single(near_mm) for _ in range(samples)]
+    def _reading(self, place: Place | None, reflector: str, samples: int) -> TrackerReading:
+        results = [self._single(place) for _ in range(samples)]
         points_mm = np.array([result.xyz for result in results])
         std_mm = np.array(results[0].std)
         if samples > 1:
@@ -347,6 +403,10 @@ class LeicaEmsconTracker:
         return TrackerReading(mean_mm, std_mm, samples, reflector, air, self._taken_s)
 
     # -- packets ------------------------------------------------------------------------------
+
+    def _drop_pending(self) -> None:
+        while self.next_packet(Deadline(0.0)) is not None:
+            pass
 
     def _ask(self, command: int, body: bytes = b"", limit_s: float = 0.0) -> bytes:
         """Send a command and return its reply's body; raises the error of a refusal."""

@@ -264,9 +264,11 @@ class EmsconDevice:
     BALL = 1  # target type: corner cube
     VERSION = (3, 8, 0)
     INITIALISE_S, POINT_S, FACE_S = 30.0, 0.6, 4.0
+    LOOK_S = 1.0  # for a reflector in a beam that was let go
 
     def __init__(self, site: Site) -> None:
         self._lock = threading.RLock()
+        self._truth, self._loose = site.truth, False  # loose: a person may have the beam
         self._instrument, self._faults, self._time = site.truth.tracker, site.faults, site.time
         self._streams = site.truth.streams
         mounted = site.cell.tracker.reflector
@@ -394,6 +396,7 @@ class EmsconDevice:
         return head + struct.pack("<3iI2i", *self.VERSION, 2, 0, self.SERIAL + other)
 
     def _measurement_status(self) -> bytes:
+        self._catch()
         found, compensated, distance, distance_compensated = 1, 2, 4, 8
         bits = found | compensated | distance | distance_compensated
         bits |= 4096 * (self._face == self.FIRST)
@@ -402,6 +405,7 @@ class EmsconDevice:
         return struct.pack("<Ii", Status.OK, bits)
 
     def _direction(self) -> bytes:
+        self._catch()
         x, y, z = self._pointing_mm
         per_unit = RAD_PER_UNIT[int(self._settings["units"][1])]
         angles = math.atan2(y, x) / per_unit, math.atan2(math.hypot(x, y), z) / per_unit
@@ -422,6 +426,7 @@ class EmsconDevice:
     # -- work -----------------------------------------------------------------------------------
 
     def _initialise(self, command: int) -> Steps:
+        self._keep_beam()
         yield self.INITIALISE_S
         self._initialised, self._target, self._face = True, None, self.FIRST
         yield reply(command) + status_change(Change.INITIALIZATION)
@@ -429,7 +434,21 @@ class EmsconDevice:
     def _go_bird_bath(self, command: int) -> Steps:
         self._target = None
         yield self.FACE_S
+        self._loose = True
+        self._truth.release_beam()
         yield reply(command)
+
+    def _keep_beam(self) -> None:
+        """Move the head by its motors: nobody has the beam any more."""
+        self._loose = False
+        self._truth.keep_beam()
+
+    def _catch(self) -> None:
+        """Lock on the reflector on which a person has put the beam meanwhile."""
+        nest = self._truth.aimed_at() if self._loose else None
+        at_mm = None if nest is None else self._instrument.reflector(nest)
+        if at_mm is not None:
+            self._loose, self._target, self._pointing_mm = False, nest, at_mm
 
     def _change_face(self, command: int) -> Steps:
         if not self._initialised:
@@ -441,6 +460,7 @@ class EmsconDevice:
         yield reply(command) + status_change(seen)
 
     def _point(self, command: int, *xyz: float) -> Steps:
+        self._keep_beam()
         self._pointing_mm, self._target = self._from_wire_mm(xyz), None
         yield self.POINT_S
         yield reply(command)
@@ -462,6 +482,7 @@ class EmsconDevice:
         if not self._initialised:
             yield reply(command, Status.NOT_INITIALIZED)
             return
+        self._keep_beam()
         yield self.POINT_S
         if self._lock_on():
             yield reply(command) + status_change(Change.READY)
@@ -475,6 +496,7 @@ class EmsconDevice:
         return self._target is not None
 
     def _go_and_measure(self, command: int, *xyz: float) -> Steps:
+        self._keep_beam()
         self._pointing_mm = self._from_wire_mm(xyz)
         yield self.POINT_S
         self._lock_on()
@@ -487,6 +509,9 @@ class EmsconDevice:
         if refused != Status.OK:
             yield reply(command, refused)
             return
+        if self._loose:
+            yield self.LOOK_S
+            self._catch()
         broken = self._faults.strikes("tracker.beam_break_before")
         target = self._target
         began_mm = None if target is None else self._instrument.reflector(target)

@@ -22,6 +22,7 @@ from fakes.time import CellTime
 from fakes.truth.arm_truth import ArmTruth
 from fakes.truth.machine import cell_machine
 from fakes.truth.noise import KeyedNoise
+from fakes.truth.person import Person
 from fakes.truth.rail_truth import FloorTruth, RailTruth
 from fakes.truth.robot_motion import RobotMotion, RobotState
 from fakes.truth.tracker_truth import ReplayTracker, StreamTruth, TrackerTruth
@@ -76,6 +77,22 @@ class CellTruth:
         self.reflector_at = ""  # place of the one reflector carried by hand; "": out of sight
         self.tracker = TrackerTruth(cell, seed, faults, self.reflectors_in_world)
         self.streams = StreamTruth(seed, self.robot, self.tracker, self.path_in_world)
+        self._person = Person([*self._floor_nests], fixed.generator("person"), time)
+
+    def release_beam(self) -> None:
+        """Let the person in the hall take the beam."""
+        self._person.take_beam()
+
+    def keep_beam(self) -> None:
+        """Let the tracker aim by itself again."""
+        self._person.leave_beam()
+
+    def aimed_at(self) -> str | None:
+        """Return, once, the nest that the person has put the beam on; None before."""
+        nest = self._person.put_down()
+        if nest is not None and self.cell.layout.by_hand:
+            self.reflector_at = nest  # it was carried there in the beam
+        return nest
 
     def lose_zero(self, lost_rad: float, axis: int = 1) -> None:
         """Shift the zero of an axis of the robot, 1 to 6, permanently."""
@@ -214,6 +231,15 @@ class ReplayTruth:
         self.robot = RobotMotion(cell, time, lambda key: lambda: np.zeros(6))
         self.tracker = ReplayTracker(data, self.robot)
         self.streams: None = None
+
+    def release_beam(self) -> None:
+        """Nobody is in a hall that is replayed."""
+
+    def keep_beam(self) -> None:
+        """Let the tracker aim by itself again."""
+
+    def aimed_at(self) -> None:
+        """Return None: nobody has put the beam anywhere."""
 
     def place_reflector(self, place: str) -> None:
         """Raise `ValueError`: recorded reflectors do not move."""

@@ -133,6 +133,13 @@ def two_face_tracker(tracker: ports.Tracker) -> ports.TwoFaces:
     raise _unable("HC-T43", "Tracker", "change face", "measure_back", "in one face")
 
 
+def aiming_tracker(tracker: ports.Tracker) -> ports.Aims:
+    """Return the tracker if a person can aim it; raises `DeviceRefused`."""
+    if isinstance(tracker, ports.Aims):
+        return tracker
+    raise _unable("HC-T43", "Tracker", "aim", "measure_aimed", "at the places of the cell file")
+
+
 def sweeping_robot(robot: ports.Robot) -> ports.Sweeps:
     """Return the robot if it sweeps an axis; raises `DeviceRefused`."""
     if isinstance(robot, ports.Sweeps):

@@ -15,7 +15,13 @@ from typing import Generic, TypeAlias, TypeVar
 import numpy as np
 
 from hilcell import ports
-from hilcell.cell.devices import Devices, streaming_tracker, sweeping_robot, two_face_tracker
+from hilcell.cell.devices import (
+    Devices,
+    aiming_tracker,
+    streaming_tracker,
+    sweeping_robot,
+    two_face_tracker,
+)
 from hilcell.cell.file import Cell, Station
 from hilcell.errors import DriverDefect, HilcellError, with_location
 from hilcell.ports import Array, Clock, DeviceError, Identity, NoReading, StripLost
@@ -305,7 +311,9 @@ class _WatchedRobot(_Watched[ports.Robot]):
 
 
 class _WatchedTracker(_Watched[ports.Tracker]):
-    """Satisfies `hilcell.ports.Tracker`, and `Streams` and `TwoFaces` where its tracker does."""
+    """Satisfies `hilcell.ports.Tracker`, and its `Streams`, `TwoFaces` and `Aims` where its tracker
+    does.
+    """
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> ports.TrackerReading:
         with self._call():
@@ -315,6 +323,23 @@ class _WatchedTracker(_Watched[ports.Tracker]):
         turning = two_face_tracker(self._device)
         with self._call():
             return self._monitor.take_tracker(turning.measure_back(near_mm, reflector, samples))
+
+    def release_beam(self) -> None:
+        aims = aiming_tracker(self._device)
+        with self._call():
+            aims.release_beam()
+
+    def measure_aimed(self, reflector: str, samples: int) -> ports.TrackerReading:
+        aims = aiming_tracker(self._device)
+        with self._call():
+            return self._monitor.take_tracker(aims.measure_aimed(reflector, samples))
+
+    def search(
+        self, near_mm: Array, reflector: str, samples: int, radius_mm: float
+    ) -> ports.TrackerReading:
+        aims = aiming_tracker(self._device)
+        with self._call():
+            return self._monitor.take_tracker(aims.search(near_mm, reflector, samples, radius_mm))
 
     @contextmanager
     def stream(self, near_mm: Array, reflector: str, rate_hz: float) -> Iterator[ports.Stream]:

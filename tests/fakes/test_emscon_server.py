@@ -527,3 +527,46 @@ def test_an_impossible_separation_is_refused(stream: Streaming) -> None:
     for separation_ms in (0, -1, 100_001):
         assert stream.client.ask(PARAMETERS, "4i", separation_ms, 0, 0, 0)[0] == OUT_OF_RANGE
     assert stream.client.ask(GET_PARAMETERS) == (OK, struct.pack("<4i", 500, 0, 0, 0))
+
+
+def carried(tracker: Tracker) -> str:
+    """Let go of the beam; return the nest that it is on once it can be measured again."""
+    assert tracker.client.ask(54)[0] == OK
+    for _ in range(10):
+        tracker.client.send(49)
+        if tracker.client.reply(49)[0] == OK:
+            at = np.array(tracker.client.result()[:3])
+            off_mm = {
+                name: float(np.linalg.norm(at - where))
+                for name, where in tracker.truth.tracker.reflectors().items()
+            }
+            nest = min(off_mm, key=off_mm.__getitem__)
+            assert off_mm[nest] < 0.1
+            return nest
+    raise AssertionError("nobody came")
+
+
+def test_a_person_carries_the_beam_to_one_nest_after_another(ready: Tracker) -> None:
+    nests = {nest.name for nest in ready.truth.cell.layout.fixed_nests}
+    began_s = ready.truth.time.now_s()
+    order = [carried(ready) for _ in range(2 * len(nests))]
+    assert set(order[: len(nests)]) == nests
+    assert order[len(nests) :] == order[: len(nests)]
+    each_s = (ready.truth.time.now_s() - began_s) / len(order)
+    assert 4.0 < each_s < 20.0  # a few seconds of cell time, besides the way to the bird bath
+    with served(EmsconServer, EmsconClient, ready.truth.cell) as again:
+        again.client.ready()
+        assert [carried(again) for _ in nests] == order[: len(nests)]  # of the same seed
+
+
+def test_the_tracker_takes_the_beam_back_by_pointing(ready: Tracker) -> None:
+    assert ready.client.ask(54)[0] == OK
+    assert ready.client.ask(55, "3di", *ready.at("P1"), 1)[0] == OK
+    ready.truth.time.advance(60.0)
+    ready.client.send(49)
+    np.testing.assert_allclose(ready.client.result()[:3], ready.at("P1"), atol=0.06)
+    horizontal, zenith = struct.unpack("<2d", ready.client.ask(66)[1])
+    x, y, z = ready.at("P1")
+    assert (horizontal, zenith) == pytest.approx(
+        (math.atan2(y, x), math.acos(z / math.hypot(x, y, z)))
+    )

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hilcell.ports import Air, DeviceError, DeviceRefused, NoReading, Stopped, Tracker
+from hilcell.ports import Aims, Air, DeviceError, DeviceRefused, NoReading, Stopped, Tracker
 from tests.drivers.leica.emscon_bed import POINT, SMR, EmsconBed, Quick, measuring, punctual
 from tests.drivers.leica.emscon_peer import (
     CLOSING,
@@ -539,3 +539,95 @@ def test_an_older_controller_does_not_report_its_frame(bed: EmsconBed, answer: b
     del bed.peer.settings[13], bed.peer.settings[15]
     tracker = bed.connect()
     np.testing.assert_allclose(tracker.measure(POINT, SMR, 1).xyz_mm, POINT, atol=1e-6)
+
+
+# -- a beam that a person aims, and a wider search ----------------------------------------------
+
+
+def test_a_released_beam_is_measured_wherever_a_person_has_put_it(tracker: Quick) -> None:
+    port: Aims = tracker
+    peer, sent = tracker.peer, len(tracker.peer.commands)
+    port.release_beam()
+    peer.xyz = (-1500.0, 900.0, -1200.0)  # no one has told the tracker about this place
+    reading = port.measure_aimed(SMR, 2)
+    np.testing.assert_array_equal(reading.xyz_mm, peer.xyz)
+    assert (reading.samples, reading.reflector) == (2, SMR)
+    assert peer.commands[sent:] == [54, 49, 41, 49, 41]
+
+
+@pytest.mark.parametrize(
+    ("answer", "code"),
+    [
+        ([failure(49, 10004)], "HC-T11"),
+        ([reply(49), NOT_READY], "HC-T10"),
+        ([reply(49), result(POINT, std=0.051)], "HC-T15"),
+        ([reply(49), result((float("nan"), 0, 0))], "HC-T14"),
+    ],
+)
+def test_a_released_beam_on_no_reflector_is_no_reading_and_is_not_moved(
+    tracker: Quick, answer: list[bytes], code: str
+) -> None:
+    tracker.peer.answers[49] = lambda _: answer
+    sent = len(tracker.peer.commands)
+    error = refusal(lambda: tracker.measure_aimed(SMR, 1))
+    assert kind(error) == (NoReading, code)
+    assert not {55, 58, 63, 135} & set(tracker.peer.commands[sent:])
+
+
+@pytest.mark.parametrize("off_mm", [299.0, 301.0])
+def test_a_wider_search_ends_with_the_radius_of_before(tracker: Quick, off_mm: float) -> None:
+    peer, radii = tracker.peer, list[float]()
+    keep = peer._set(43)
+
+    def set_search(body: bytes) -> Sequence[bytes]:
+        radii.append(struct.unpack("<di", body)[0])
+        return keep(body)
+
+    peer.answers[43] = set_search
+    at = POINT + [0, off_mm, 0]
+    peer.answers[49] = lambda _: [reply(49), READY, result(at)]
+    if off_mm < 300.0:
+        np.testing.assert_array_equal(tracker.search(POINT, SMR, 1, 300.0).xyz_mm, at)
+    else:
+        error = refusal(lambda: tracker.search(POINT, SMR, 1, 300.0))
+        assert kind(error) == (NoReading, "HC-T16")
+    assert radii == [300.0, 5.0]
+    assert peer.settings[44] == struct.pack("<di", 5.0, 10_000)
+
+
+@pytest.mark.parametrize("radius_mm", [0.0, -1.0, np.nan, np.inf])
+def test_a_search_without_a_radius_is_refused(tracker: Quick, radius_mm: float) -> None:
+    sent = len(tracker.peer.commands)
+    assert refusal(lambda: tracker.search(POINT, SMR, 1, radius_mm)).code == "HC-T35"
+    assert refusal(lambda: tracker.measure_aimed(SMR, 0)).code == "HC-T35"
+    assert len(tracker.peer.commands) == sent
+
+
+@pytest.mark.parametrize(
+    ("angles", "beam"),
+    [
+        ((0.0, np.pi / 2), [1, 0, 0]),
+        ((np.pi / 2, np.pi / 2), [0, 1, 0]),  # from x to y
+        ((1.0, np.pi), [0, 0, -1]),  # V is zero at the zenith
+        (None, None),  # a controller that does not tell
+    ],
+)
+def test_a_failed_search_states_where_the_beam_looked(
+    tracker: Quick, angles: tuple[float, float] | None, beam: list[float] | None
+) -> None:
+    peer = tracker.peer
+    peer.answers[55] = lambda _: [NOT_READY, failure(55, 37)]
+    peer.answers[63] = lambda _: [NOT_READY, failure(63, 37)]
+    if angles is not None:
+        peer.answers[66] = lambda _: [reply(66, struct.pack("<2d", *angles))]
+    for searched_mm, search in (
+        (5.0, lambda: tracker.measure(POINT, SMR, 1)),
+        (300.0, lambda: tracker.search(POINT, SMR, 1, 300.0)),
+    ):
+        error = refusal(search)
+        assert kind(error) == (NoReading, "HC-T11")
+        if beam is None:
+            assert "beam" not in error.fields
+        else:
+            assert error.fields["beam"] == pytest.approx(beam, abs=1e-12)
+            assert error.fields["searched_mm"] == searched_mm

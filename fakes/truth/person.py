@@ -1,0 +1,41 @@
+"""The person in the hall, who carries a tracker's beam that was let go to the next nest.
+
+A habit of the simulated world, of which no device and no wire knows: a tracker only notices a
+reflector in its beam. The nests of floor and bars come in an order drawn from the machine's seed,
+then in the same order again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import cycle
+
+import numpy as np
+
+from fakes.time import CellTime
+
+
+class Person:
+    """Carries one beam at a time."""
+
+    TAKES_S = (2.0, 6.0)  # to the next nest
+
+    def __init__(self, nests: Sequence[str], rng: np.random.Generator, time: CellTime) -> None:
+        self._rng, self._time = rng, time
+        self._nests = cycle(rng.permutation(np.array(nests, dtype=object)).tolist())
+        self._arrives_s: float | None = None
+
+    def take_beam(self) -> None:
+        """Take a beam that was just let go; one that is on its way starts again."""
+        self._arrives_s = self._time.now_s() + float(self._rng.uniform(*self.TAKES_S))
+
+    def leave_beam(self) -> None:
+        """Step back from a beam that the tracker has moved by itself."""
+        self._arrives_s = None
+
+    def put_down(self) -> str | None:
+        """Return, once, the nest that the beam was put on; None before, and without a beam."""
+        if self._arrives_s is None or self._time.now_s() < self._arrives_s:
+            return None
+        self._arrives_s = None
+        return next(self._nests)
