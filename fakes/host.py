@@ -2,10 +2,11 @@
 
 ``python -m fakes.host`` serves one: the first line on stdin is the order (JSON), the first line on
 stdout gives all addresses. It ends with stdin, so it never outlives its parent. On the control
-channel ``{"do": "addresses" | "now" | "wait" | "fault" | "clear" | "truth" | "seat" | "quit",
-...}`` is answered by ``{"ok": true, ...}`` or ``{"ok": false, "error": ...}``. The engine uses it
-only for time; faults and truth are for tests; ``seat`` places the reflector that an operator would
-carry. No device's wire shows any of this.
+channel an order ``{"do": NAME, ...}`` is answered by ``{"ok": true, ...}`` or ``{"ok": false,
+"error": ...}``; NAME is addresses, now, wait, fault, clear, truth, travel, seat or quit. The engine
+uses it only for time; faults, truth and travel (of slide and axes since it was last asked) are for
+tests; ``seat`` places the reflector that an operator would carry. No device's wire shows any of
+this.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from fakes.faults import load_faults
 from fakes.site import SimulatedDevice, Site, device_servers
 from fakes.time import CellTime
 from fakes.truth.cell_truth import FLANGE, CellTruth, ReplayTruth
+from fakes.truth.rail_truth import RailTruth
 from fakes.wires import HOST, Listener
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert
@@ -54,6 +56,20 @@ def truth_answer(truth: CellTruth, order: Values) -> Values:
         joints_rad = np.radians(np.array(order["joints_deg"], dtype=float).reshape(-1, 6))
         nominal_mm = truth.arm.design.pose(joints_rad)[:, :3, 3]
         answer["errors_mm"] = truth.arm.errors_mm(joints_rad, nominal_mm).tolist()
+    return answer
+
+
+def travel_answer(truth: CellTruth | ReplayTruth, now_s: float) -> Values:
+    """Return the travel of slide (mm) and axes (deg) since it was last asked, and the time."""
+    axes = truth.robot.travel()
+    answer: Values = {"now_s": now_s, "axes": {"moving_s": axes.moving_s}}
+    for name in ("begin", "low", "high", "excursion"):
+        answer["axes"][f"{name}_deg"] = np.degrees(getattr(axes, name)).tolist()
+    if isinstance(truth.rail, RailTruth):
+        slide = truth.rail.travel()
+        answer["slide"] = {"moving_s": slide.moving_s}
+        for name in ("begin", "low", "high", "excursion"):
+            answer["slide"][f"{name}_mm"] = float(getattr(slide, name)[0])
     return answer
 
 
@@ -102,6 +118,7 @@ class Host:
             "fault": lambda order: self._faults.set(**order),
             "clear": self._clear,
             "truth": self._truth,
+            "travel": self._travel,
             "seat": lambda order: self._cell_truth.place_reflector(str(order["place"])),
             "quit": lambda order: {"leaving": True},
         }
@@ -166,13 +183,20 @@ class Host:
                 device.restore()
 
     def _truth(self, order: Values) -> Values:
+        self._check_truthful()
+        return (
+            truth_answer(self._cell_truth, order) if isinstance(self._cell_truth, CellTruth) else {}
+        )
+
+    def _travel(self, order: Values) -> Values:
+        self._check_truthful()
+        return travel_answer(self._cell_truth, self._time.now_s())
+
+    def _check_truthful(self) -> None:
         if not self._order.truth:
             raise HilcellError(
                 "this simulated cell keeps its truth: start it with `hilcell sim --truth`"
             )
-        return (
-            truth_answer(self._cell_truth, order) if isinstance(self._cell_truth, CellTruth) else {}
-        )
 
     @staticmethod
     def _served(table: str, serve: Callable[[], SimulatedDevice]) -> SimulatedDevice:

@@ -101,13 +101,14 @@ class Design:
         self._middle_mm, self._half_mm = (low + high) / 2, np.maximum((high - low) / 2, least_mm)
         jacobians_mm = self.chain.jacobian(self.commands_rad)[:, :3]
         self.unit_rp_mm = float(unit_rp_mm(jacobians_mm).mean())
-        self.axis_6_rad: Array = np.radians(machine.reference.axis_6_deg)
+        self.axis_6_rad: Array = self.chain.commands(np.radians(machine.reference.axis_6_deg))
         self.axis_6_mm = axis_6(self.chain, self.axis_6_rad)[1]
 
     def slopes(self, joints_rad: Array) -> tuple[Array, Array]:
         """Return the angles (...) of upper arm and forearm at joints (..., 6)."""
-        upper = joints_rad[..., 1]
-        return upper + self._upper_rad, upper + joints_rad[..., 2] + self._fore_rad
+        turned = self.chain.turns(joints_rad)
+        upper = turned[..., 1]
+        return upper + self._upper_rad, upper + turned[..., 2] + self._fore_rad
 
     def loads(self, joints_rad: Array) -> Array:
         """Return the relative load of each joint (..., 6), -1 to 1, at joints (..., 6).
@@ -138,7 +139,7 @@ def reference_cube(machine: Machine, chain: Chain) -> tuple[Array, Array]:
     targets_mm = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     poses = np.tile(centre, (len(targets_mm), 1, 1))
     poses[:, :3, 3] = targets_mm
-    return targets_mm, chain.solve(poses, np.radians(reference.start_deg))
+    return targets_mm, chain.solve(poses, chain.commands(np.radians(reference.start_deg)))
 
 
 def axis_6(chain: Chain, joints_rad: Array) -> tuple[Array, Array]:

@@ -44,7 +44,10 @@ class JointAxis(Frozen, frozen=True, kw_only=True):
 
 
 class Reference(Frozen, frozen=True, kw_only=True):
-    """The poses to which sizes refer: a cube, the axis 6 circle, the parked arm."""
+    """The poses to which sizes refer: a cube, the axis 6 circle, the parked arm.
+
+    Angles are those about the axes, also of an arm whose joint 3 is coupled.
+    """
 
     centre: Pose
     size_mm: Point
@@ -101,6 +104,7 @@ class RailSizes(Frozen, frozen=True, kw_only=True):
     """The errors of the rail and of its strip; without a ``strip`` the encoder replaces it."""
 
     strip: bool = True
+    power_on_mm: Length = 640.0
     backlash_mm: Extent
     curve_mm: Offset
     curve_span_mm: Size
@@ -137,42 +141,6 @@ class TrackerSizes(Frozen, frozen=True, kw_only=True):
     room_swing_k: Annotated[float, Meta(ge=0, le=30)] = 0.8
 
 
-Node = Annotated[int, Meta(ge=1, le=127)]
-Scale = Annotated[float, Meta(ge=-1e6, le=1e6)]  # counts/mm; negative: counts towards the low end
-SpeedUnit = Literal["counts/s", "0.1 counts/s", "rpm", "mm/s"]
-
-
-class Drive(Frozen, frozen=True, kw_only=True):
-    """The settings of the rail's drive, unknown to the PC.
-
-    ``reference``: lost at power-off, kept (referenced, at ``zero_mm`` of the slide's travel), or of
-    an absolute encoder that reads 0 there. ``counts_per_turn`` of the motor, for speeds in rpm.
-    """
-
-    node: Node = 5
-    counts_per_mm: Scale = 1000.0
-    speed_unit: SpeedUnit = "counts/s"
-    counts_per_turn: Annotated[int, Meta(ge=1, le=1 << 24)] = 20_000
-    reference: Literal["lost", "kept", "absolute"] = "lost"
-    zero_mm: Annotated[float, Meta(ge=-1e5, le=1e5)] = 0.0
-
-    def __post_init__(self) -> None:
-        if not self.counts_per_mm:
-            raise ValueError("counts_per_mm must not be 0")
-
-
-class StripHead(Frozen, frozen=True, kw_only=True):
-    """The settings of the strip's sensor: it reads 0 at ``zero_mm`` of the slide's travel."""
-
-    node: Node = 6
-    counts_per_mm: Scale = 100.0
-    zero_mm: Annotated[float, Meta(ge=-1e5, le=1e5)] = 0.0
-
-    def __post_init__(self) -> None:
-        if not self.counts_per_mm:
-            raise ValueError("counts_per_mm must not be 0")
-
-
 class Controller(Frozen, frozen=True, kw_only=True):
     """The settings of the robot's controller, where they are not those of the cell file.
 
@@ -192,20 +160,19 @@ class Controller(Frozen, frozen=True, kw_only=True):
 
 
 class Machine(Frozen, frozen=True, kw_only=True):
-    """One kind of machine."""
+    """One kind of machine; axis 3 also turns by ``coupling`` times joint 2."""
 
     model: str
     serial: int
     flange: Pose
     joint: list[JointAxis]
+    coupling: Annotated[float, Meta(ge=-1, le=1)] = 0.0
     reference: Reference
     errors: Errors
     transmission: Transmission
     rail: RailSizes
     mounting: Mounting = field(default_factory=Mounting)
     tracker: TrackerSizes = field(default_factory=TrackerSizes)
-    drive: Drive = field(default_factory=Drive)
-    head: StripHead = field(default_factory=StripHead)
     controller: Controller = field(default_factory=Controller)
 
     def __post_init__(self) -> None:
@@ -216,7 +183,7 @@ class Machine(Frozen, frozen=True, kw_only=True):
         """Return the arm as designed; its last frame is the reflector's, mounted at (3,)."""
         axes = np.array([joint.axis for joint in self.joint])
         points_mm = np.array([joint.point_mm for joint in self.joint])
-        return Chain(axes, points_mm, mounted(frame(self.flange), smr_mm))
+        return Chain(axes, points_mm, mounted(frame(self.flange), smr_mm), self.coupling)
 
 
 def mounted(flange: Array, smr_mm: Point) -> Array:

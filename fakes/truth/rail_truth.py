@@ -16,6 +16,7 @@ import numpy as np
 from fakes.faults import Faults
 from fakes.time import CellTime
 from fakes.truth.machine import Machine, cell_machine
+from fakes.truth.motion_record import MotionRecord, Travel
 from fakes.truth.noise import KeyedNoise
 from fakes.truth.robot_motion import Path
 from fakes.truth.transforms import Array, frame, rotation
@@ -80,13 +81,14 @@ class RailTruth:
         self._slip_mm = 0.0
         self._braked = True
         self._homing = False
-        power_on_mm = 640.0
+        power_on_mm = machine.rail.power_on_mm
         self._zero_mm = power_on_mm  # of the motor: its encoder reads 0 at power-on
         self._play_mm = power_on_mm  # slide behind the backlash, in the motor's coordinate
         self._landing_mm = (0.0, 0.0)  # at the start and at the end of the motion
         self._path = Path(time.now_s(), power_on_mm)
         self._rest_position: tuple[Path, float] | None = None  # of the slide, after a path
         self._followed_s = time.now_s()
+        self._record = MotionRecord(np.array([power_on_mm]))
 
     def move(self, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
         """Start for ``target_mm`` of the encoder, after braking a motion in progress.
@@ -162,6 +164,15 @@ class RailTruth:
     def motion_ends_s(self) -> float:
         return self._path.end_s
 
+    def travel(self) -> Travel:
+        """Return the travel (1,) of the slide, in mm, since the last call; no time passes.
+
+        The slide behind its backlash, in the motor's coordinate: without the error curve.
+        """
+        with self._lock:
+            self._follow(self._time.now_s())
+            return self._record.take(np.array([self._play_mm]))
+
     def slide_mm(self) -> float:
         """Return the slide's true position along the rail; no time passes."""
         with self._lock:
@@ -208,9 +219,12 @@ class RailTruth:
         if self._rest_position is not None and self._rest_position[0] is self._path:
             self._followed_s = now_s
             return
-        corners = self._path.corners(self._followed_s, now_s)
-        for motor_mm in (*corners, self._path.at(now_s)[0]):
+        path = self._path
+        moving_s = min(now_s, path.end_s) - max(self._followed_s, path.start_s)
+        for motor_mm in (*path.corners(self._followed_s, now_s), path.at(now_s)[0]):
             self._play_mm = min(max(self._play_mm, motor_mm), motor_mm + self._backlash_mm)
+            self._record.add(np.array([self._play_mm]), 0.0)
+        self._record.add(np.array([self._play_mm]), max(0.0, moving_s))
         self._followed_s = now_s
         if self._homing and now_s >= self._path.end_s:
             self._homing = False
@@ -261,8 +275,9 @@ class _Shape:
         self._along = self._tilt @ np.array(cell.layout.rail_direction)
         self._across = np.linalg.svd(self._along[None])[2][1:]
         self._share = 1.0
-        parked_rad = np.radians(machine.reference.parked_deg)
-        flange_mm = machine.chain(cell.robot.smr_mm).pose(parked_rad)[:3, 3]
+        arm = machine.chain(cell.robot.smr_mm)
+        parked_rad = arm.commands(np.radians(machine.reference.parked_deg))
+        flange_mm = arm.pose(parked_rad)[:3, 3]
         self._share = self._share_as_surveyed(self._base[:3, :3] @ flange_mm)
 
     def _share_as_surveyed(self, lever_mm: Array) -> float:

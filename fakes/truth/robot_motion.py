@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fakes.time import CellTime
+from fakes.truth.motion_record import MotionRecord, Travel
 from fakes.truth.transforms import Array
 from hilcell.cell.file import Cell
 
@@ -153,13 +154,14 @@ class RobotMotion:
         self._rest_state: RobotState | None = None
         self._legs: list[_Leg] = []
         self._recorders = 0
+        self._record, self._recorded_s = MotionRecord(self._from), self._path.start_s
         self._add_leg()
 
     def move(self, target_rad: Array, speed_share: float) -> None:
         """Start for joints (6,) at a share 0..1 of full speed, from wherever the robot is."""
         not_moved_rad = 1e-9
         with self._lock:
-            self._from = self._joints(self._time.now_s())
+            self._from = self._follow()
             self._to = np.array(target_rad, dtype=float)
             distance = self._to - self._from
             distance_rad = np.abs(distance)
@@ -181,6 +183,7 @@ class RobotMotion:
     def override(self, share: float) -> None:
         """Change the speed of this and all later motions; 0 stops them."""
         with self._lock:
+            self._follow()
             self._override = share
             if self.moving:
                 self._path = self._fresh_path().brake(self._rate / self.BRAKE_S)
@@ -190,6 +193,7 @@ class RobotMotion:
     def brake(self) -> None:
         """Stop on the path and discard the target."""
         with self._lock:
+            self._follow()
             self._path = self._fresh_path().brake(self._rate / self.BRAKE_S)
             self._share = 0.0
             self._add_leg()
@@ -204,6 +208,11 @@ class RobotMotion:
         """Begin or end to record completed motions for `past`; calls are counted."""
         with self._lock:
             self._recorders += 1 if on else -1
+
+    def travel(self) -> Travel:
+        """Return the travel (6,) of the joints, in rad, since the last call; no time passes."""
+        with self._lock:
+            return self._record.take(self._follow())
 
     def past(self, times_s: Array) -> tuple[Array, Array, Array]:
         """Return joints, sides and repeatability errors, (N, 6) each, at times (N,) up to now.
@@ -262,6 +271,15 @@ class RobotMotion:
     def axes_moving(self) -> bool:
         """Whether the joints really move."""
         return self._time.now_s() < self._path.end_s
+
+    def _follow(self) -> Array:
+        """Return the joints (6,) now, recorded; a path between two calls does not turn round."""
+        now_s, path = self._time.now_s(), self._path
+        joints_rad = self._joints(now_s)
+        moving_s = min(now_s, path.end_s) - max(self._recorded_s, path.start_s)
+        self._record.add(joints_rad, max(0.0, moving_s))
+        self._recorded_s = now_s
+        return joints_rad
 
     def _continue(self) -> None:
         speed = self._rate * self._share * self._override

@@ -117,11 +117,16 @@ def transform_point(T: Array, point_mm: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """Joint axes, unit vectors (6, 3), a point (6, 3) on each, the last frame (4, 4) at zero."""
+    """Joint axes, unit vectors (6, 3), a point (6, 3) on each, the last frame (4, 4) at zero.
+
+    Joints are the controller's: axis 3 also turns by ``coupling`` times axis 2, so that -1 makes
+    joint 3 the forearm's angle to the horizontal.
+    """
 
     axes: Array
     points_mm: Array
     last: Array
+    coupling: float = 0.0
     _generators: tuple[Array, Array] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -137,6 +142,20 @@ class Chain:
             points_mm, last = points_mm * (1.0 + strain), last.copy()
             last[:3, 3] *= 1.0 + strain
         return product([*self._joint_motions(joints_rad, points_mm), last])
+
+    def commands(self, turned_rad: Array) -> Array:
+        """Return the controller's joints (..., 6) for turns (..., 6) about the axes."""
+        joints_rad = turned_rad.copy()
+        joints_rad[..., 2] -= self.coupling * turned_rad[..., 1]
+        return joints_rad
+
+    def turns(self, joints_rad: Array) -> Array:
+        """Return the turns (..., 6) about the axes at joints (..., 6)."""
+        if not self.coupling:
+            return joints_rad
+        turned_rad = joints_rad.copy()
+        turned_rad[..., 2] += self.coupling * joints_rad[..., 1]
+        return turned_rad
 
     def lines(self, joints_rad: Array) -> tuple[list[tuple[Array, Array]], Array]:
         """Return direction (..., 3) and a point (..., 3) of each axis, and the last frame's."""
@@ -161,6 +180,7 @@ class Chain:
             np.concatenate([np.cross(direction, tip_mm - point_mm), direction], axis=-1)
             for direction, point_mm in lines
         ]
+        columns[1] = columns[1] + self.coupling * columns[2]
         return np.stack(columns, axis=-1)
 
     def solve(self, poses: Array, start_rad: Array) -> Array:
@@ -191,7 +211,7 @@ class Chain:
 
     def _joint_motions(self, joints_rad: Array, points_mm: Array) -> list[Array]:
         """Return the rotation (..., 4, 4) of each joint about its axis through a point."""
-        R = axis_rotation_by(*self._generators, joints_rad)
+        R = axis_rotation_by(*self._generators, self.turns(joints_rad))
         single = np.zeros((*joints_rad.shape, 4, 4))
         single[..., :3, :3], single[..., 3, 3] = R, 1.0
         single[..., :3, 3] = points_mm - (R @ points_mm[..., None])[..., 0]

@@ -80,10 +80,24 @@ def test_truth_is_kept_unless_the_cell_was_started_for_it(cell: Cell) -> None:
         contextlib.closing(PaperCell(cell, seed=1)) as simulated,
         Control(simulated.address) as control,
     ):
-        with pytest.raises(DeviceError) as kept:
-            control.ask("truth")
-        assert "--truth" in kept.value.found
+        for question in ("truth", "travel"):
+            with pytest.raises(DeviceError) as kept:
+                control.ask(question)
+            assert "--truth" in kept.value.found
         assert control.ask("now")["now_s"] >= 0.0
+
+
+def test_travel_of_slide_and_axes_since_it_was_last_asked(simulated: PaperCell) -> None:
+    with (
+        Control(simulated.address) as control,
+        connected(port(simulated.options["robot"])) as wire,
+    ):
+        first = control.ask("travel")
+        assert first["slide"]["excursion_mm"] == 0.0
+        C3Client(wire).go(1, [10.0, -90.0, 90.0, 0.0, -30.0, -4.0])
+        travel = control.ask("travel")
+    assert travel["axes"]["excursion_deg"] == pytest.approx([10.0, 0.0, 0.0, 0.0, 0.0, 4.0])
+    assert 0.0 < travel["axes"]["moving_s"] <= travel["now_s"] - first["now_s"]
 
 
 def test_stepped_clock_waits_at_once(simulated: PaperCell) -> None:

@@ -105,3 +105,17 @@ def test_frames_agree_with_the_cores(b_deg: float) -> None:
     again = frames.pose_from_zyx(*components(T).tolist())
     np.testing.assert_allclose(again, T, atol=1e-9)
     np.testing.assert_allclose(inverse(T) @ T, np.eye(4), atol=1e-12)
+
+
+def test_an_arm_with_a_coupled_axis_is_the_same_arm_for_other_joints() -> None:
+    chain = design(load_cell("paper"))
+    coupled = design(load_cell("paper", {"simulation.sizes.coupling": "-1.0"}))
+    turned, step_rad = joints(20), 1e-6
+    commands = coupled.commands(turned)
+    np.testing.assert_array_equal(commands[:, 2], turned[:, 2] + turned[:, 1])
+    np.testing.assert_allclose(coupled.pose(commands), chain.pose(turned), atol=1e-9)
+    for joint in range(6):
+        step = step_rad * np.eye(6)[joint]
+        ahead, behind = coupled.pose(commands + step), coupled.pose(commands - step)
+        slope = (ahead - behind)[:, :3, 3] / (2 * step_rad)
+        np.testing.assert_allclose(coupled.jacobian(commands)[:, :3, joint], slope, atol=1e-3)
