@@ -15,11 +15,11 @@ carry the reading arrived; a reading older than its limit must not be used.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import astuple, dataclass
 from threading import Event
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,10 +31,11 @@ if TYPE_CHECKING:
     from hilcell.cell.file import Cell
 
 __all__ = [
-    "Aims", "Air", "Array", "AxisReading", "Clock", "DeviceError", "DeviceRefused", "Exercise",
-    "ExternalAxis", "HilcellError", "Identity", "InProcessCell", "JointSample",
-    "LinkStatistics", "NoReading", "Rail", "RailReading", "RecordingEnded", "RepeatsRun",
-    "Robot", "RobotDrivenRail", "RobotReading", "SimulatedCell", "Stopped", "Stream",
+    "Ability", "Aims", "Air", "Array", "AxisReading", "Candidate", "Clock", "DeviceError",
+    "DeviceRefused", "Discovers", "Exercise", "ExternalAxis", "HilcellError", "Identity",
+    "InProcessCell", "Inspects", "Jogs", "JointSample", "LinkStatistics", "NoReading", "Rail",
+    "RailReading", "RailTrace", "RecordingEnded", "RepeatsRun", "Robot", "RobotDrivenRail",
+    "RobotReading", "RobotSettings", "SimulatedCell", "StatesSettings", "Stopped", "Stream",
     "StreamBlock", "Streams", "StripLost", "Sweep", "Sweeps", "Tracker", "TrackerReading",
     "Training", "TwoFaces", "is_simulated_name",
 ]  # fmt: skip
@@ -336,6 +337,110 @@ class Aims(Protocol):
         """Measure as `Tracker.measure`, in a search of ``radius_mm`` around ``near_mm`` (3,).
 
         Later measurements search within the radius of the options again.
+        """
+
+
+# -- commissioning ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Ability:
+    """One thing that a driver needs of its device; ``note``: its value, or what replaces it."""
+
+    device: str
+    feature: str
+    state: Literal["has", "read only", "has not"]
+    needed: Literal["mandatory", "optional"]
+    note: str = ""
+
+
+@runtime_checkable
+class Inspects(Protocol):
+    """A driver, not connected, that lists the abilities of its device."""
+
+    def inspect(self) -> list[Ability]:
+        """Open the wire, read, close it; nothing is written, powered or moved."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A device that answers: a line for a person, options of its driver, its identities."""
+
+    title: str
+    options: dict[str, object]
+    identities: list[Identity]
+
+
+@runtime_checkable
+class Discovers(Protocol):
+    """A driver's class that finds its devices."""
+
+    @classmethod
+    def discover(cls, known: Mapping[str, object]) -> list[Candidate]:
+        """Return the devices that answer, by listening and reading only.
+
+        ``known`` are options that a person gave, such as a channel or a host.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class RobotSettings:
+    """What a controller states of itself; None where it does not state it.
+
+    ``joint_limits_rad`` (6, 2), lower and upper; ``tool`` (4, 4), {T} in the flange;
+    ``axis_limits_mm`` of the external axis.
+    """
+
+    model: str | None
+    serial: str | None
+    joint_limits_rad: Array | None
+    tool: Array | None
+    axis_limits_mm: tuple[float, float] | None
+
+
+@runtime_checkable
+class StatesSettings(Protocol):
+    """A connected robot whose controller states its settings."""
+
+    def settings(self) -> RobotSettings:
+        """Return the settings, read after this call began."""
+
+
+@dataclass(frozen=True, slots=True)
+class RailTrace:
+    """A jog: times, positions of drive and strip, and the drive's own speed (N,), a row a poll.
+
+    ``stopped_by``: "bound" or "stop" for a quick stop, "" where the drive ended the motion.
+    """
+
+    taken_s: Array
+    drive_mm: Array
+    strip_mm: Array
+    velocity_mm_s: Array
+    stopped_by: Literal["", "bound", "stop"]
+
+
+@runtime_checkable
+class Jogs(Protocol):
+    """A connected rail that moves a little while scale, sign and units are not proved."""
+
+    def jog(
+        self,
+        distance_mm: float,
+        *,
+        bound_mm: float,
+        speed_mm_s: float,
+        stop_after_mm: float | None = None,
+    ) -> RailTrace:
+        """Move by ``distance_mm`` as the drive counts; return at rest, with the slide held.
+
+        Drive or strip further than ``bound_mm`` from the start cause a quick stop, as do
+        ``stop_after_mm`` on purpose. The bound replaces the guards that compare drive and strip.
+        """
+
+    def rescaled(self, drive: float, strip: float, speed: float) -> dict[str, object]:
+        """Return the driver's options with which positions of drive and strip, and the drive's
+        speeds, are multiplied by these factors; negative ones change the sign.
         """
 
 
