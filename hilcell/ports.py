@@ -35,7 +35,7 @@ __all__ = [
     "DeviceRefused", "Discovers", "Exercise", "ExternalAxis", "HilcellError", "Identity",
     "InProcessCell", "Inspects", "Jogs", "JointSample", "LinkStatistics", "NoReading", "Rail",
     "RailReading", "RailTrace", "RecordingEnded", "RepeatsRun", "Robot", "RobotDrivenRail",
-    "RobotReading", "RobotSettings", "SimulatedCell", "StatesSettings", "Stopped", "Stream",
+    "RobotReading", "RobotSettings", "Searches", "SimulatedCell", "StatesSettings", "Stopped", "Stream",
     "StreamBlock", "Streams", "StripLost", "Sweep", "Sweeps", "Tracker", "TrackerReading",
     "Training", "TwoFaces", "is_simulated_name",
 ]  # fmt: skip
@@ -315,21 +315,13 @@ class TwoFaces(Protocol):
 
 
 @runtime_checkable
-class Aims(Protocol):
-    """A tracker whose beam a person can put on a reflector, and that can search widely.
+class Searches(Protocol):
+    """A tracker that can search more widely than within the radius of its options.
 
-    A `NoReading` of a search states in its fields where the beam looked, if the tracker tells:
-    ``beam`` (3,), a unit vector in its frame, and ``searched_mm``, the radius of the search.
+    A `NoReading` of a search or a measurement that found no reflector has ``searched_mm`` in its
+    fields, the radius, and ``beam`` (3,) where the tracker tells: the direction in which it looked,
+    a unit vector in its frame.
     """
-
-    def release_beam(self) -> None:
-        """Let go of the reflector, so that a person can put the beam on another one."""
-
-    def measure_aimed(self, reflector: str, samples: int) -> TrackerReading:
-        """Measure the reflector that the beam is on now, wherever it is; mean of ``samples``.
-
-        The tracker is not moved. Raises `NoReading` where the beam is on none.
-        """
 
     def search(
         self, near_mm: Array, reflector: str, samples: int, radius_mm: float
@@ -441,6 +433,20 @@ class Jogs(Protocol):
     def rescaled(self, drive: float, strip: float, speed: float) -> dict[str, object]:
         """Return the driver's options with which positions of drive and strip, and the drive's
         speeds, are multiplied by these factors; negative ones change the sign.
+        """
+
+
+@runtime_checkable
+class Aims(Searches, Protocol):
+    """A tracker whose beam a person can put on a reflector, also one whose place nobody knows."""
+
+    def release_beam(self) -> None:
+        """Let go of the reflector, so that a person can put the beam on another one."""
+
+    def measure_aimed(self, reflector: str, samples: int) -> TrackerReading:
+        """Measure the reflector that the beam is on now, wherever it is; mean of ``samples``.
+
+        Raises `NoReading` where the beam is on none.
         """
 
 

@@ -307,17 +307,17 @@ class LeicaEmsconTracker:
                 self._find(near_mm)
             except NoReading as second:
                 second.found += f", after go position: {first.found}"
-                second.fields.update(self._beam())
+                second.fields.update(self._searched())
                 raise
 
-    def _beam(self) -> dict[str, object]:
-        """Return where the beam looks after a search; {} for a controller that does not tell."""
+    def _searched(self) -> dict[str, object]:
+        """Return how far a search went, and where the beam looks where the controller tells."""
+        radius_mm, _limit_ms = self.settings.recorded(Setting.SEARCH)
         answer = self._request(Command.GET_DIRECTION)
         if answer.status or not answer.body:
-            return {}
+            return {"searched_mm": radius_mm}
         beam = emscon.direction(*self._decoded(Layout.DIRECTION.unpack_from, answer.body))
-        radius_mm, _limit_ms = self.settings.recorded(Setting.SEARCH)
-        return {"beam": beam, "searched_mm": radius_mm}
+        return {"searched_mm": radius_mm, "beam": beam}
 
     def _find(self, near_mm: Array) -> None:
         body = Layout.DISTANCE.pack(float(np.linalg.norm(near_mm)))

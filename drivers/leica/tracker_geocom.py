@@ -31,8 +31,10 @@ from drivers.tracker_readings import (
     Positive,
     changed,
     check_reflector,
+    check_samples,
     check_serial,
     checked_request,
+    checked_search,
     leica_identity,
     off_target,
     readback_error,
@@ -40,7 +42,7 @@ from drivers.tracker_readings import (
     retry_while_busy,
 )
 from drivers.wires import TextLines, open_link
-from hilcell.ports import Array, Clock, DeviceError, Identity, TrackerReading
+from hilcell.ports import Array, Clock, DeviceError, Identity, NoReading, TrackerReading
 from hilcell.sanitize import clean
 from hilcell.wire.channel import SerialLine, parse_channel
 
@@ -60,6 +62,7 @@ class Rpc(IntEnum):
     NULL = 0
     SET_PRECISION = 107
     GET_PRECISION = 108
+    GET_ANGLES = 2003
     GET_TILT_SWITCH = 2007
     SET_TILT_SWITCH = 2006
     DO_MEASURE = 2008
@@ -75,6 +78,7 @@ class Rpc(IntEnum):
     GET_SERIAL = 5003
     GET_NAME = 5004
     GET_FIRMWARE = 5034
+    STOP_MOTORS = 6002
     TURN_TO = 9027
     FINE_ADJUST = 9037
     SET_ATR = 18005
@@ -225,18 +229,20 @@ def position_mm(hz_rad: float, v_rad: float, distance_m: float) -> Array:
 
 
 class LeicaGeocomTracker:
-    """Satisfies `hilcell.ports.Tracker`."""
+    """Satisfies `hilcell.ports.Tracker` and `hilcell.ports.Aims`."""
 
     TRANSACTIONS = 2**15
     ABORT = "c"  # ends a motion or measurement; answered by "?"
     CLEAR, DISTANCE = 3, 1  # programs of DO_MEASURE
     AUTOMATIC_TILT = 1  # of DO_MEASURE and GET_MEASUREMENT
-    NOT_IMPLEMENTED = 5
+    NOT_IMPLEMENTED, MOTORS_IDLE = 5, 1798
     UNCORRECTED = (1283, 1284)  # not fully, or of no accuracy; with values
     NOWHERE_MM = np.full(3, np.nan)
     DISTANCE_MS = 5000  # that the instrument may take for a distance, besides `reading_s`
     TRIES = 5  # distances until one comes with all its places; zeros at the end take one in four
     CORRECTED = (1, 1, 1, 1)  # for tilt, tilt of the standing axis, collimation, tilting axis
+
+    AIMED_RAD = 0.02  # window in which the target is found that a person has pointed at
 
     # Deadlines on the wire, in real time.
     REPLY_S = 5.0
@@ -311,17 +317,28 @@ class LeicaGeocomTracker:
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         near_mm = checked_request(near_mm, samples)
-        options = self._options
-        of = f"the prism constant is that of {options.reflector!r}"
-        check_reflector(reflector, [options.reflector], of)
-        self._verify_settings()
-        self._ask(Rpc.TURN_TO, *self.angles_to(near_mm), 0, 0, 0, limit_s=self.MOVE_S)
-        points_mm = np.array([self._single(near_mm) for _ in range(samples)])
-        std_mm = options.std_mm(points_mm[0])
-        if samples > 1:
-            std_mm = repeats_std(points_mm, options.max_std_mm)
-        mean_mm = points_mm.mean(axis=0)
-        return TrackerReading(mean_mm, std_mm, samples, reflector, None, self._arrived_s)
+        return self._turned_reading(near_mm, reflector, samples, self._options.find_radius_mm)
+
+    def search(
+        self, near_mm: Array, reflector: str, samples: int, radius_mm: float
+    ) -> TrackerReading:
+        near_mm = checked_search(near_mm, samples, radius_mm)
+        return self._turned_reading(near_mm, reflector, samples, radius_mm)
+
+    def release_beam(self) -> None:
+        """Stop the motors: the telescope is turned by hand."""
+        reply = self._exchange(Rpc.STOP_MOTORS, (0,), self.REPLY_S)
+        if reply.communication or reply.code not in (0, self.MOTORS_IDLE):
+            raise Rpc.STOP_MOTORS.failed(reply.communication or reply.code)
+
+    def measure_aimed(self, reflector: str, samples: int) -> TrackerReading:
+        check_samples(samples)
+        self._check_prism(reflector)
+        points_mm = list[Array]()
+        for _ in range(samples):
+            self._fine_adjust(self.AIMED_RAD)
+            points_mm.append(self._single())
+        return self._reading(points_mm, reflector)
 
     def stop(self) -> None:
         if (lines := self._lines) is not None:  # another thread may be closing
@@ -412,11 +429,57 @@ class LeicaGeocomTracker:
 
     # -- measuring ----------------------------------------------------------------------------
 
-    def _single(self, near_mm: Array) -> Array:
-        """Return one position (3,): aimed at its reflector, measured from no distance."""
-        options = self._options
-        window_rad = 2.0 * options.find_radius_mm / max(float(np.linalg.norm(near_mm)), 1.0)
+    def _turned_reading(
+        self, near_mm: Array, reflector: str, samples: int, radius_mm: float
+    ) -> TrackerReading:
+        """Return a reading of the reflector within a radius of (3,) mm."""
+        self._check_prism(reflector)
+        self._ask(Rpc.TURN_TO, *self.angles_to(near_mm), 0, 0, 0, limit_s=self.MOVE_S)
+        window_rad = 2.0 * radius_mm / max(float(np.linalg.norm(near_mm)), 1.0)
+        points_mm = list[Array]()
+        for _ in range(samples):
+            try:
+                self._fine_adjust(window_rad)
+            except NoReading as error:
+                error.fields.update(self._beam(), searched_mm=radius_mm)
+                raise
+            xyz_mm = self._single()
+            off_mm = float(np.linalg.norm(xyz_mm - near_mm))
+            if not off_mm <= radius_mm:
+                raise off_target(off_mm, radius_mm)
+            points_mm.append(xyz_mm)
+        return self._reading(points_mm, reflector)
+
+    def _check_prism(self, reflector: str) -> None:
+        """Refuse a reflector of another prism constant, and settings that were changed."""
+        known = self._options.reflector
+        check_reflector(reflector, [known], f"the prism constant is that of {known!r}")
+        self._verify_settings()
+
+    def _reading(self, points_mm: list[Array], reflector: str) -> TrackerReading:
+        options, samples = self._options, len(points_mm)
+        std_mm = options.std_mm(points_mm[0])
+        if samples > 1:
+            std_mm = repeats_std(np.array(points_mm), options.max_std_mm)
+        mean_mm = np.mean(points_mm, axis=0)
+        return TrackerReading(mean_mm, std_mm, samples, reflector, None, self._arrived_s)
+
+    def _beam(self) -> dict[str, object]:
+        """Return where the telescope looks after a search; {} where it does not tell."""
+        reply = self._exchange(Rpc.GET_ANGLES, (self.AUTOMATIC_TILT,), self.REPLY_S)
+        if reply.communication or reply.is_empty:
+            return {}
+        hz_rad, v_rad = self._decoded(reply._replace(values=reply.values[:2]), 2)
+        beam = position_mm(hz_rad, v_rad, 1.0) / MM_PER_M
+        return {"beam": beam.tolist()} if bool(np.all(np.isfinite(beam))) else {}
+
+    def _fine_adjust(self, window_rad: float) -> None:
+        """Aim at the reflector in a window around the line of sight."""
         self._ask(Rpc.FINE_ADJUST, window_rad, window_rad, 0, limit_s=self.MOVE_S)
+
+    def _single(self) -> Array:
+        """Return one position (3,) of the reflector that is aimed at, measured from no distance."""
+        options = self._options
         before_mm = self.NOWHERE_MM
         for _ in range(self.TRIES):
             reply = self._measured()
@@ -435,11 +498,7 @@ class LeicaGeocomTracker:
             raise TRACKER.no_reading(
                 "HC-T14", "measure", f"the result {values} is no position", values=values
             )
-        xyz_mm = position_mm(*values)
-        off_mm = float(np.linalg.norm(xyz_mm - near_mm))
-        if not off_mm <= options.find_radius_mm:
-            raise off_target(off_mm, options.find_radius_mm)
-        return xyz_mm
+        return position_mm(*values)
 
     def _measured(self) -> Reply:
         """Angles and a new distance; reading it makes it an old one."""

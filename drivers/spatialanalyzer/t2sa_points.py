@@ -70,6 +70,22 @@ class NamedPoints:
         n = order[best]
         return self.names[n], self.xyz_mm[n], range_mm * float(beside[best])
 
+    def around(self, near_mm: Array, radius_mm: float, apart_mm: float) -> list[tuple[str, Array]]:
+        """Return points to search a place (3,) through: names and positions (3,), nearest first.
+
+        At the place's range they are within ``radius_mm`` of it, and ``apart_mm`` of one another.
+        """
+        range_mm = max(float(np.linalg.norm(near_mm)), LEAST_RANGE_MM)
+        place = near_mm / range_mm
+        within = self._tree.query_ball_point(place, radius_mm / range_mm)
+        beside = np.linalg.norm(self._directions[within] - place, axis=1)
+        chosen: list[int] = []
+        for n in np.array(within, dtype=int)[np.argsort(beside)]:
+            others = self._directions[chosen].reshape(-1, 3) - self._directions[n]
+            if bool(np.all(range_mm * np.linalg.norm(others, axis=1) >= apart_mm)):
+                chosen.append(int(n))
+        return [(self.names[n], self.xyz_mm[n]) for n in chosen]
+
     def spread(self, count: int) -> list[tuple[str, Array]]:
         """Return up to ``count`` points from the first to the last."""
         chosen = np.unique(np.linspace(0, len(self.names) - 1, count).round().astype(int))

@@ -32,6 +32,7 @@ from drivers.tracker_readings import (
     Positive,
     check_reflector,
     checked_request,
+    checked_search,
     matching_form,
     off_target,
     repeats_std,
@@ -39,7 +40,15 @@ from drivers.tracker_readings import (
 )
 from drivers.wires import TcpLink, TextLines
 from hilcell.cell.settings import SettingsError
-from hilcell.ports import Array, Clock, DeviceError, Identity, TrackerReading, is_simulated_name
+from hilcell.ports import (
+    Array,
+    Clock,
+    DeviceError,
+    Identity,
+    NoReading,
+    TrackerReading,
+    is_simulated_name,
+)
 from hilcell.sanitize import clean
 from hilcell.wire.channel import Host, Port
 
@@ -134,7 +143,10 @@ def other_forms(xyz_mm: Array, named_mm: Array) -> dict[str, Array]:
 
 
 class T2saTracker:
-    """Satisfies `hilcell.ports.Tracker`."""
+    """Satisfies `hilcell.ports.Tracker` and `hilcell.ports.Searches`.
+
+    A person cannot aim it: the bridge measures named points only.
+    """
 
     HALT, STATUS, LASER = "!HALT", "?STAT", "?LSTA"
     MEASURE, POSITION = "!MEAS_SINGLE_POINT:", "?POINT_POS:"
@@ -201,9 +213,7 @@ class T2saTracker:
         """
         near_mm = checked_request(near_mm, samples)
         options = self._options
-        target = f"the target in SpatialAnalyzer is {options.reflector!r}"
-        check_reflector(reflector, [options.reflector], target)
-        self._wire()
+        self._check_target(reflector)
         points = TRACKER.connected(self._points)
         name, _, beside_mm = points.aim(near_mm, options.search_mm)
         if not beside_mm <= options.search_mm:
@@ -221,6 +231,31 @@ class T2saTracker:
         std_mm = repeats_std(points_mm, options.max_std_mm)
         mean_mm = points_mm.mean(axis=0)
         return TrackerReading(mean_mm, std_mm, count, reflector, None, self._arrived_s)
+
+    def search(
+        self, near_mm: Array, reflector: str, samples: int, radius_mm: float
+    ) -> TrackerReading:
+        """Measure the reflector within ``radius_mm`` of ``near_mm`` (3,), tracker frame.
+
+        The bridge searches around each named point there, the nearest first.
+        """
+        near_mm = checked_search(near_mm, samples, radius_mm)
+        self._check_target(reflector)
+        points, searched = TRACKER.connected(self._points), self._options.search_mm
+        found = f"none of the named points is within {radius_mm:.1f} mm beside {_shown(near_mm)}"
+        failure = TRACKER.no_reading("HC-T11", "search", found)
+        for name, named_mm in points.around(near_mm, radius_mm, searched):
+            try:
+                xyz_mm = self._measured(name, named_mm)
+            except NoReading as error:
+                failure = error
+                continue
+            off_mm = float(np.linalg.norm(xyz_mm - near_mm))
+            if off_mm <= radius_mm:
+                return self.measure(xyz_mm, reflector, samples)
+            failure = off_target(off_mm, radius_mm, "search")
+        failure.fields["searched_mm"] = radius_mm
+        raise failure
 
     def stop(self) -> None:
         """Halt the measurement in progress, without waiting for an answer."""
@@ -311,6 +346,12 @@ class T2saTracker:
                 )
 
     # -- measuring ----------------------------------------------------------------------------
+
+    def _check_target(self, reflector: str) -> None:
+        """Refuse a reflector that is not SpatialAnalyzer's, and a connection that is gone."""
+        target = f"the target in SpatialAnalyzer is {self._options.reflector!r}"
+        check_reflector(reflector, [self._options.reflector], target)
+        self._wire()
 
     def _single(self, near_mm: Array, others_mm: dict[str, Array]) -> Array:
         """Return one position (3,); where another reflector is caught, aim on its far side.

@@ -61,10 +61,12 @@ class GeocomDevice:
 
     SERIAL = 884321
     TURN_S, AIM_S, DISTANCE_S, ANGLE_S = 0.6, 0.4, 1.5, 0.1
+    LOOK_S = 1.0  # for a target, by a telescope that a person turns
 
     def __init__(self, site: Site) -> None:
         """The true prism constant is the cell file's."""
         self._instrument, self._faults = site.truth.tracker, site.faults
+        self._truth, self._loose = site.truth, False  # loose: a person may turn the telescope
         self._true_prism_m = float(site.cell.tracker.options.get("prism_constant_mm", 0.0)) / 1000.0
         self._places_cache, self._prism_m = 4, 0.0
         self._atmosphere: tuple[float, ...] = (658e-9, 1013.25, 12.0, 12.0)
@@ -100,6 +102,7 @@ class GeocomDevice:
             5003: (0, lambda: _whole(self.SERIAL + strikes("tracker.wrong_identity"))),
             5004: (0, lambda: Answer(values=('"TS60 (simulated)"',))),
             5034: (0, lambda: _whole(8, 50, 0)),
+            6002: (1, lambda mode: self._release()),
             9027: (5, lambda hz, v, exact, aim, dummy: self._point(hz, v, aim)),
             9028: (3, lambda exact, aim, dummy: self._change_face()),
             9029: (3, lambda hz, v, dummy: self._aim(hz, v)),
@@ -149,6 +152,8 @@ class GeocomDevice:
     def _point(self, hz: float, v: float, aim: float) -> Answer:
         if not 0 <= v <= math.tau:
             return Answer(Code.INVALID)
+        self._loose = False
+        self._truth.keep_beam()
         self._face = int(v > math.pi)
         self._pointing = (hz % math.tau, v) if not self._face else self._other_face(hz, v)
         self._target = None
@@ -156,6 +161,18 @@ class GeocomDevice:
         self._wait(self.TURN_S)
         sight_rad = 1e-3  # off the line of sight, within which the distance meter hits a prism
         return self._aim(2 * sight_rad, 2 * sight_rad) if aim else Answer()
+
+    def _release(self) -> Answer:
+        self._loose, self._target = True, None
+        self._truth.release_beam()
+        return Answer()
+
+    def _catch(self) -> None:
+        """Look where a person has turned the telescope meanwhile."""
+        nest = self._truth.aimed_at() if self._loose else None
+        at_mm = None if nest is None else self._instrument.reflector(nest)
+        if at_mm is not None:
+            self._loose, self._pointing = False, _direction(at_mm)
 
     def _change_face(self) -> Answer:
         self._face = 1 - self._face
@@ -165,8 +182,11 @@ class GeocomDevice:
     def _aim(self, width: float, height: float) -> Answer:
         if not self._atr:
             return Answer(Code.ATR_OFF)
-        self._wait(self.AIM_S)
+        self._wait(self.LOOK_S if self._loose else self.AIM_S)
+        self._catch()
         self._target = None
+        if self._loose:  # on its way between two targets
+            return Answer(Code.NO_TARGET)
         hz, v = self._pointing
         inside = []
         for at_mm in self._instrument.reflectors().values():
@@ -260,6 +280,7 @@ class GeocomDevice:
         return Answer(Code.OK if distance_m else Code.ANGLES_ONLY, (*each, *each))
 
     def _angles(self) -> Answer:
+        self._catch()
         hz, v = self._pointing
         if self._face:
             hz, v = self._other_face(hz, v)

@@ -140,6 +140,13 @@ def aiming_tracker(tracker: ports.Tracker) -> ports.Aims:
     raise _unable("HC-T43", "Tracker", "aim", "measure_aimed", "at the places of the cell file")
 
 
+def searching_tracker(tracker: ports.Tracker) -> ports.Searches:
+    """Return the tracker if it searches more widely; raises `DeviceRefused`."""
+    if isinstance(tracker, ports.Searches):
+        return tracker
+    raise _unable("HC-T43", "Tracker", "search", "search", "at the places of the cell file")
+
+
 def sweeping_robot(robot: ports.Robot) -> ports.Sweeps:
     """Return the robot if it sweeps an axis; raises `DeviceRefused`."""
     if isinstance(robot, ports.Sweeps):

@@ -18,6 +18,7 @@ from hilcell import ports
 from hilcell.cell.devices import (
     Devices,
     aiming_tracker,
+    searching_tracker,
     streaming_tracker,
     sweeping_robot,
     two_face_tracker,
@@ -311,8 +312,8 @@ class _WatchedRobot(_Watched[ports.Robot]):
 
 
 class _WatchedTracker(_Watched[ports.Tracker]):
-    """Satisfies `hilcell.ports.Tracker`, and its `Streams`, `TwoFaces` and `Aims` where its tracker
-    does.
+    """Satisfies `hilcell.ports.Tracker`, and its `Streams`, `TwoFaces`, `Searches` and `Aims` where
+    its tracker does.
     """
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> ports.TrackerReading:
@@ -337,9 +338,11 @@ class _WatchedTracker(_Watched[ports.Tracker]):
     def search(
         self, near_mm: Array, reflector: str, samples: int, radius_mm: float
     ) -> ports.TrackerReading:
-        aims = aiming_tracker(self._device)
+        searches = searching_tracker(self._device)
         with self._call():
-            return self._monitor.take_tracker(aims.search(near_mm, reflector, samples, radius_mm))
+            return self._monitor.take_tracker(
+                searches.search(near_mm, reflector, samples, radius_mm)
+            )
 
     @contextmanager
     def stream(self, near_mm: Array, reflector: str, rate_hz: float) -> Iterator[ports.Stream]:

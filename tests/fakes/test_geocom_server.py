@@ -237,3 +237,26 @@ def test_no_target_and_nothing_to_abort(peer: GeoCom) -> None:
     assert peer.aut.fine_adjust(1e-6, 1e-6).error == GeoComCode.AUT_NO_TARGET
     assert peer.abort().error == GeoComCode.OK
     assert peer.com.nullprocess().error == GeoComCode.OK
+
+
+def test_a_person_turns_the_telescope_to_one_nest_after_another(station: Station) -> None:
+    station.ready()
+    nests = {nest.name for nest in station.truth.cell.layout.fixed_nests}
+    assert station.aim(station.at("P1")) == 0
+    order = []
+    for _ in range(2 * len(nests)):
+        assert station.ask(6002, 0)[0] == 0
+        assert station.ask(9037, 0.02, 0.02, 0)[0] == 8710  # not on the target of before
+        while station.ask(9037, 0.02, 0.02, 0)[0] == 8710:
+            pass
+        hz, v, distance_m = station.measure()[1]
+        at_mm = (
+            1000
+            * distance_m
+            * np.array([math.sin(v) * math.cos(hz), -math.sin(v) * math.sin(hz), math.cos(v)])
+        )
+        off_mm = {name: np.linalg.norm(at_mm - station.at(name)) for name in nests}
+        order.append(min(off_mm, key=off_mm.__getitem__))
+        assert off_mm[order[-1]] < 5.0
+    assert set(order[: len(nests)]) == nests
+    assert order[len(nests) :] == order[: len(nests)]

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from drivers.device_errors import ProtocolError
 from drivers.leica import tracker_geocom as geocom
 from drivers.leica.tracker_geocom import LeicaGeocomTracker, Reply, Rpc
-from hilcell.ports import DeviceError, DeviceRefused, NoReading, Stopped, Streams, Tracker
+from hilcell.ports import Aims, DeviceError, DeviceRefused, NoReading, Stopped, Streams, Tracker
 from tests.drivers.leica.geocom_peer import GeocomPeer
 from tests.drivers.peers import Bed, WireTime, in_thread, kind, refusal
 
@@ -205,7 +205,7 @@ def test_return_codes_have_their_alarms(
     # With the values of a good reading: a code is never passed over for them.
     tracker.peer.answers[rpc] = lambda _: f"{code},0.643501108793,1.570796326795,5.0"
     error = measuring(tracker)
-    assert (type(error), error.code, error.fields) == (expected, alarm, {"status": code})
+    assert (type(error), error.code, error.fields["status"]) == (expected, alarm, code)
 
 
 @pytest.mark.parametrize("code", [1283, 1284])
@@ -601,3 +601,60 @@ def test_the_class_of_accuracy_is_a_length_along_and_an_angle_across() -> None:
     )
     std_mm = options.std_mm(np.array([10_000.0, 0.0, 0.0]))
     np.testing.assert_allclose(std_mm, [0.6, 0.0485, 0.0485], atol=1e-4)
+
+
+# -- a telescope that a person turns, and a wider search -----------------------------------------
+
+
+def test_a_released_telescope_is_measured_wherever_a_person_has_turned_it(tracker: Quick) -> None:
+    port: Aims = tracker
+    sent = len(tracker.peer.requests)
+    tracker.peer.answers[6002] = lambda _: "1798"  # its motors did not run
+    port.release_beam()
+    tracker.peer.pointing = f"{3.0:.15f},{2.0:.15f}"  # turned by hand
+    reading = port.measure_aimed(SMR, 2)
+    at_mm = geocom.position_mm(3.0, 2.0, 5.0)
+    np.testing.assert_allclose(reading.xyz_mm, at_mm, atol=1e-6)
+    assert (reading.samples, reading.reflector) == (2, SMR)
+    assert tracker.peer.asked(6002) == ["0"]
+    assert len(tracker.peer.asked(9037)) == 2
+    assert not any(",9027," in line for line in tracker.peer.requests[sent:])
+
+
+def test_motors_that_do_not_stop_are_named(tracker: Quick) -> None:
+    tracker.peer.answers[6002] = lambda _: "1793"
+    assert refusal(tracker.release_beam).fields["status"] == 1793
+
+
+@pytest.mark.parametrize(("off_mm", "found"), [(299.0, True), (301.0, False)])
+def test_a_wider_search_has_a_wider_window(tracker: Quick, off_mm: float, found: bool) -> None:
+    at_mm = POINT * (5000.0 + off_mm) / 5000.0
+    tracker.peer.distance_m = 5.0 + off_mm / 1000.0
+    if found:
+        reading = tracker.search(POINT, SMR, 1, 300.0)
+        np.testing.assert_allclose(reading.xyz_mm, at_mm, atol=1e-6)
+    else:
+        error = refusal(lambda: tracker.search(POINT, SMR, 1, 300.0))
+        assert kind(error) == (NoReading, "HC-T16")
+    assert tracker.peer.asked(9037) == ["0.12,0.12,0"]
+
+
+@pytest.mark.parametrize(
+    ("answer", "beam"),
+    [
+        (f"0,{math.pi / 2},{math.pi / 2},0.0", [0, -1, 0]),  # Hz is clockwise
+        (f"1284,0.0,{math.pi},0.0", [0, 0, -1]),
+        ("5", None),  # an instrument that does not tell
+    ],
+)
+def test_a_failed_search_states_where_the_telescope_looked(
+    tracker: Quick, answer: str, beam: list[float] | None
+) -> None:
+    tracker.peer.answers |= {9037: lambda _: "8710", 2003: lambda _: answer}
+    for searched_mm, search in (
+        (5.0, lambda: tracker.measure(POINT, SMR, 1)),
+        (300.0, lambda: tracker.search(POINT, SMR, 1, 300.0)),
+    ):
+        error = refusal(search)
+        assert (error.code, error.fields["searched_mm"]) == ("HC-T11", searched_mm)
+        assert error.fields.get("beam") == (beam and pytest.approx(beam, abs=1e-12))

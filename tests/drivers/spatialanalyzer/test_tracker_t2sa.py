@@ -18,7 +18,16 @@ from drivers.device_errors import ProtocolError
 from drivers.spatialanalyzer import tracker_t2sa as t2sa
 from drivers.spatialanalyzer.tracker_t2sa import Reply, T2saTracker
 from drivers.tracker_readings import matching_form
-from hilcell.ports import DeviceError, DeviceRefused, NoReading, Stopped, Streams, Tracker
+from hilcell.ports import (
+    Aims,
+    DeviceError,
+    DeviceRefused,
+    NoReading,
+    Searches,
+    Stopped,
+    Streams,
+    Tracker,
+)
 from tests.drivers.peers import Bed, WireTime, in_thread, kind, refusal, wire_time
 from tests.drivers.spatialanalyzer.t2sa_peer import POINTS, Answer, T2saPeer
 
@@ -488,3 +497,36 @@ def test_forms_of_a_result(xyz: list[float], form: str) -> None:
     named_mm, near_mm = np.array([2500.0, 0, 0]), np.array([2540.0, 0, 0])
     forms = t2sa.other_forms(np.array(xyz), named_mm)
     assert matching_form(near_mm, 1.0, forms) == form
+
+
+# -- a wider search --------------------------------------------------------------------------------
+
+
+def test_a_search_measures_through_the_named_points_around(bed: T2saBed) -> None:
+    tracker = bed.make(search_mm=40.0)
+    tracker.connect()
+    port: Searches = tracker
+    assert not isinstance(tracker, Aims)  # the bridge measures named points only
+    at_mm = np.array([4005.0, -2930.0, 5.0])
+
+    def seen_from(path: str) -> str:
+        name = path.rpartition(";")[2]
+        return tracker.peer._measure(path) if name == "P2" else "ERR-305 Measurement failed"
+
+    tracker.peer.at_mm, tracker.peer.answers["!MEAS_SINGLE_POINT"] = at_mm, seen_from
+    reading = port.search(np.array([4000.0, -3000.0, 0.0]), SMR, 1, 300.0)
+    np.testing.assert_allclose(reading.xyz_mm, at_mm, atol=1e-3)
+    names = [path.rpartition(";")[2] for path in tracker.peer.asked("!MEAS_SINGLE_POINT")]
+    assert names == ["P1", "P2", "P2", "P2"]  # outwards, then its repeats
+
+
+def test_a_search_without_success_states_its_radius(tracker: BedTracker) -> None:
+    near_mm = np.array([4000.0, -3000.0, 0.0])
+    error = refusal(lambda: tracker.search(near_mm, SMR, 1, 5.0))
+    assert kind(error) == (NoReading, "HC-T16")  # the peer's reflector is 15 mm from there
+    assert error.fields["searched_mm"] == 5.0
+    tracker.peer.answers["!MEAS_SINGLE_POINT"] = lambda _: "ERR-305 Measurement failed"
+    error = refusal(lambda: tracker.search(near_mm, SMR, 1, 300.0))
+    assert (error.code, error.fields["searched_mm"]) == ("HC-T11", 300.0)
+    error = refusal(lambda: tracker.search(-near_mm, SMR, 1, 300.0))  # no named point there
+    assert (error.code, error.fields["searched_mm"]) == ("HC-T11", 300.0)
