@@ -35,8 +35,8 @@ __all__ = [
     "DeviceRefused", "Discovers", "Exercise", "ExternalAxis", "HilcellError", "Identity",
     "InProcessCell", "Inspects", "Jogs", "JointSample", "LinkStatistics", "NoReading", "Rail",
     "RailReading", "RailTrace", "RecordingEnded", "RepeatsRun", "Robot", "RobotDrivenRail",
-    "RobotReading", "RobotSettings", "Searches", "SimulatedCell", "StatesSettings", "Stopped", "Stream",
-    "StreamBlock", "Streams", "StripLost", "Sweep", "Sweeps", "Tracker", "TrackerReading",
+    "RobotReading", "RobotSettings", "Searches", "SimulatedCell", "StatesSettings", "Stopped",
+    "Stream", "StreamBlock", "Streams", "StripLost", "Sweep", "Sweeps", "Tracker", "TrackerReading",
     "Training", "TwoFaces", "is_simulated_name",
 ]  # fmt: skip
 
@@ -332,6 +332,20 @@ class Searches(Protocol):
         """
 
 
+@runtime_checkable
+class Aims(Searches, Protocol):
+    """A tracker whose beam a person can put on a reflector, also one whose place nobody knows."""
+
+    def release_beam(self) -> None:
+        """Let go of the reflector, so that a person can put the beam on another one."""
+
+    def measure_aimed(self, reflector: str, samples: int) -> TrackerReading:
+        """Measure the reflector that the beam is on now, wherever it is; mean of ``samples``.
+
+        Raises `NoReading` where the beam is on none.
+        """
+
+
 # -- commissioning ---------------------------------------------------------------------------------
 
 
@@ -377,7 +391,7 @@ class Discovers(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class RobotSettings:
-    """What a controller states of itself; None where it does not state it.
+    """Settings as a controller reports them; None where it does not report one.
 
     ``joint_limits_rad`` (6, 2), lower and upper; ``tool`` (4, 4), {T} in the flange;
     ``axis_limits_mm`` of the external axis.
@@ -433,20 +447,6 @@ class Jogs(Protocol):
     def rescaled(self, drive: float, strip: float, speed: float) -> dict[str, object]:
         """Return the driver's options with which positions of drive and strip, and the drive's
         speeds, are multiplied by these factors; negative ones change the sign.
-        """
-
-
-@runtime_checkable
-class Aims(Searches, Protocol):
-    """A tracker whose beam a person can put on a reflector, also one whose place nobody knows."""
-
-    def release_beam(self) -> None:
-        """Let go of the reflector, so that a person can put the beam on another one."""
-
-    def measure_aimed(self, reflector: str, samples: int) -> TrackerReading:
-        """Measure the reflector that the beam is on now, wherever it is; mean of ``samples``.
-
-        Raises `NoReading` where the beam is on none.
         """
 
 
