@@ -21,8 +21,8 @@ from hilcell.journal.index import find_run
 from hilcell.journal.journal import Record, read_journal
 from hilcell.journal.log import Log
 from hilcell.journal.runs import JOURNAL, live_engine
-from hilcell.journal.runs_folder import command_on
 from hilcell.run.control import Command, order
+from hilcell.run.last_word import last_word
 from hilcell.sanitize import encodable
 
 
@@ -70,13 +70,10 @@ def _watch(folder: Path, *, as_json: bool) -> int:
             output.take(record)
     if output.lost is not None:
         raise output.lost
-    state = log.state if log.end is None else end_text(log)
-    resume = command_on(folder, "resume")
-    died = "" if log.end is not None else f"; the run process has died, `{resume}` continues it"
-    fault = f": {log.fault}" if log.end is not None and log.fault else ""
-    print_message(f"{kind_of(log)} {folder.name}: {state}{fault}{died}")
+    print_message(f"{kind_of(log)} {folder.name}: {end_text(log)}")
     if problem := left_moving(log):
         print_message(problem)
+    print_message(last_word(log, folder).text)
     return 0
 
 

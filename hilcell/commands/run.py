@@ -11,7 +11,6 @@ from hilcell.commands.console import print_message
 from hilcell.commands.run_output import (
     JsonOutput,
     ProgressOutput,
-    how_to_resume,
     kind_of,
     print_dry_run,
     print_end,
@@ -28,6 +27,7 @@ from hilcell.model.events import Announced, StepBegun
 from hilcell.ports import HilcellError
 from hilcell.run.control import order
 from hilcell.run.engine import Engine, NewEngine, ResumedEngine
+from hilcell.run.last_word import last_word
 from hilcell.run.order import Attendance, Order, Resume
 from hilcell.run.procedure import Procedure
 
@@ -69,8 +69,8 @@ def _performed(engine: Engine, *, as_json: bool) -> int:
     print_end(plan.folder, log, plan.procedure, output, fault)
     print_unclosed(unclosed, fault)
     print_lost(plan.folder, output)
-    if line := how_to_resume(plan.folder, code, fault):
-        print_message(line)
+    journalled = log.end is not None and log.end.exit == code
+    print_message(last_word(log, plan.folder, None if journalled else fault).text)
     return EXIT_STORAGE if output.lost is not None and code in DONE else code
 
 

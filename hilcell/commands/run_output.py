@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Self
 
 import msgspec
 
-from hilcell.alarms.catalogue import catalogue, code_of_verdict, entry_of
+from hilcell.alarms.catalogue import code_of_verdict
 from hilcell.atomic_files import NotPrinted
 from hilcell.cell.file import Cell
 from hilcell.commands.console import (
@@ -28,9 +28,9 @@ from hilcell.commands.console import (
     stdout_checked,
 )
 from hilcell.decoding import Json
-from hilcell.errors import RESUMABLE, DeviceError, HilcellError, facts_of
+from hilcell.errors import HilcellError, facts_of
 from hilcell.journal.calibration_facts import NOT_JUDGED
-from hilcell.journal.journal import Record, StorageError
+from hilcell.journal.journal import Record
 from hilcell.journal.labels import verdict_label
 from hilcell.journal.log import Log
 from hilcell.journal.runs_folder import command_on
@@ -38,9 +38,9 @@ from hilcell.model.events import Closed, CurveMeasured, FirstPassBegun, NoReadin
 from hilcell.model.plan import PlannedStep
 from hilcell.model.point import CONTROL, Point
 from hilcell.model.records import WAITING, StateChanged
-from hilcell.model.verdicts import OTHERS, VALIDATION, Verdict, suspected_in
-from hilcell.ports import RecordingEnded
+from hilcell.model.verdicts import Verdict, suspected_in
 from hilcell.present.table import Column, Table
+from hilcell.run.last_word import failed_verdicts
 from hilcell.run.procedure import Plan, Procedure
 from hilcell.run.stopping import not_at_rest
 from hilcell.sanitize import encodable, harmless, harmless_lines
@@ -197,10 +197,6 @@ def print_end(
         print_error(fault)
     if isinstance(output, JsonOutput):
         return
-    if isinstance(fault, DeviceError):
-        for each in fault.causes.values() or [fault]:
-            if entry_of(each.code).specific:
-                print_message(f"what to do: hilcell explain {each.code}")
     print_suspected(log)
     if log.end is not None and log.end.result and log.state == "finished":
         _print_result(procedure, output, log.end.result)
@@ -221,19 +217,6 @@ def _print_result(procedure: Procedure, output: RunOutput, result: Json) -> None
         print_message(text)
 
 
-def how_to_resume(folder: Path, code: int, fault: Exception | None) -> str:
-    """Return how to resume a run that ended early; "" if it cannot be resumed."""
-    if code not in RESUMABLE:
-        return ""
-    resume = command_on(folder, "resume")
-    advised = catalogue().get(fault.code) if isinstance(fault, HilcellError) else None
-    if advised is None or advised.then != "new run":
-        return f"resume with: {resume}"
-    if isinstance(fault, StorageError | RecordingEnded):
-        return ""  # the journal cannot be written, or the recording has ended
-    return f"a new run is advised (hilcell explain {advised.code}); resume this one with: {resume}"
-
-
 def end_text(log: Log) -> str:
     """Return the state of an ended run, and its outcome if it finished."""
     if log.end is None:
@@ -242,15 +225,6 @@ def end_text(log: Log) -> str:
     if log.state != "finished":
         return outcome
     return log.state if outcome in NOT_JUDGED else f"{log.state}, {outcome}"
-
-
-def failed_verdicts(verdicts: Mapping[str, Verdict]) -> dict[str, Verdict]:
-    """Return the failed verdicts; that of all stations together only if no station's failed."""
-    failed = {key: verdict for key, verdict in verdicts.items() if not verdict.holds}
-    together = f"{VALIDATION}{OTHERS}"
-    if any(key.startswith(VALIDATION) and key != together for key in failed):
-        failed.pop(together, None)
-    return failed
 
 
 def print_suspected(log: Log) -> None:

@@ -32,6 +32,7 @@ from hilcell.present.table import Column, Table
 from hilcell.report.comparison import CHANGES, Setting, compare_runs
 from hilcell.report.facts import Facts, read_facts
 from hilcell.run.cell_lock import lock_of_name, locked
+from hilcell.run.last_word import last_word
 from hilcell.run.procedure import Procedure
 from hilcell.sanitize import encodable, harmless
 
@@ -151,6 +152,7 @@ def show(args: Show) -> int:
     finished = log.state == "finished"
     result = procedure.result(log) if finished else log.result
     status = calibration_status(folder)
+    word = None if live_engine(folder) is not None else last_word(log, folder).text
     summary = _summary(row_of(folder), status) | {
         "digest": inputs.digest,
         "seed": inputs.seed,
@@ -162,6 +164,7 @@ def show(args: Show) -> int:
         "sessions": log.session,
         "link": log.link.counts if log.link is not None else None,
         "link_warning": (log.link.warning or None) if log.link is not None else None,
+        "last_word": word,
         "verdicts": {key: record.body for key, record in log.verdict_records.items()},
         "result": result,
     }
@@ -187,6 +190,8 @@ def show(args: Show) -> int:
         print_table(procedure.table(result))
         if words := procedure.words(result):
             print_message(words)
+    if word is not None:
+        print_message(word)
     return 0
 
 

@@ -39,6 +39,11 @@ def at_home(folder: Path) -> Path:
 
 def command_on(run: Path, command: str, *words: str) -> str:
     """Return a command of hilcell on the run of a folder, as a shell takes it."""
-    line = shlex.join(["hilcell", command, run.name, *words])
-    there = usual_runs(os.environ)[0].resolve() == run.parent.resolve()
-    return line if there else f"{line} --runs {shlex.quote(str(run.parent))}"
+    return command_in(run.parent, command, run.name, *words)
+
+
+def command_in(runs: Path, *words: str) -> str:
+    """Return a command of hilcell with a folder of runs, as a shell takes it."""
+    line = shlex.join(["hilcell", *words])
+    there = usual_runs(os.environ)[0].resolve() == runs.resolve()
+    return line if there else f"{line} --runs {shlex.quote(str(runs))}"

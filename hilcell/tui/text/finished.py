@@ -13,6 +13,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from operator import itemgetter
+from pathlib import Path
 from typing import ClassVar, Self, TypeVar
 
 import msgspec
@@ -43,6 +44,7 @@ from hilcell.model.verdicts import (
     Limits,
 )
 from hilcell.present.table import Column, Named, Table
+from hilcell.run.last_word import last_word
 from hilcell.sanitize import harmless
 from hilcell.tui.layout import (
     BLANK,
@@ -64,8 +66,6 @@ from hilcell.tui.run_view import RunView
 from hilcell.tui.terminal import Glyphs
 from hilcell.tui.text.plots import validated_places
 from hilcell.tui.text.run import OUTCOME_STYLES, simulation_block
-
-NEXT = "o report   p plots   w worst points   n new run"
 
 
 @dataclass(frozen=True, slots=True)
@@ -333,7 +333,7 @@ class Finished:
             *self.orientation,
             self._written(view, glyphs),
             _drift(view, glyphs, standing),
-            Content.assemble((" next: ", "$label"), NEXT),
+            _last_word(view),
         ]
 
     def _advice(self, view: RunView, glyphs: Glyphs) -> list[Lines | Text]:
@@ -391,6 +391,12 @@ def _whole(*phrases: Text) -> Lines:
     """Return as many phrases as fit, each whole."""
     texts = [Content.assemble(*phrases[:n]) for n in range(len(phrases), 0, -1)]
     return Grid([[Fitting((*texts, texts[-1].truncate(1)))]], Col(grows=True))
+
+
+def _last_word(view: RunView) -> Lines:
+    """Return the sentence with which every run ends; the footer has the keys for what is next."""
+    sentence: list[Cell] = ["", last_word(view.log, Path(view.run)).sentence]
+    return Grid([sentence], Col(), Col(grows=True, wraps=True))
 
 
 def _drift(view: RunView, glyphs: Glyphs, standing: int) -> Lines:
@@ -488,7 +494,7 @@ class Result:
                 more = Content.styled(" o report: all of the table", "$label")
                 lines = [*lines[: max(rows - 1, 0)], more]
             else:
-                lines.append(Content.assemble((" next: ", "$label"), NEXT))
+                lines += _last_word(view).lines(width)
             return [line.truncate(width) for line in lines]
 
         return Drawing(draw)
@@ -556,7 +562,8 @@ def _limit(limit_mm: float | None) -> str:
 
 
 NAMES = {  # of the summary, by the name shown
-    "operator": "operator", "job": "job", "points": "points", "state": "state",
+    "last_word": "outcome", "operator": "operator", "job": "job", "points": "points",
+    "state": "state",
     "verdict": "verdict", "calibration": "stage", "seed": "seed",
     "accepted": "accepted", "link_warning": "warning", "fault": "fault",
 }  # fmt: skip

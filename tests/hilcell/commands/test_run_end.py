@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from hilcell.alarms.alarm import alarms_of
-from hilcell.cell.devices import ConnectFailed, load_entry
+from hilcell.cell.devices import load_entry
 from hilcell.commands import control
 from hilcell.commands.cli import main
 from hilcell.commands.run_output import (
@@ -18,16 +18,13 @@ from hilcell.commands.run_output import (
     ProgressOutput,
     RunOutput,
     failure_text,
-    how_to_resume,
     print_end,
 )
 from hilcell.errors import DeviceError
-from hilcell.geometry.frames import FrameError
-from hilcell.journal.journal import Record, StorageError
+from hilcell.journal.journal import Record
 from hilcell.journal.runs import read_log
 from hilcell.model.events import LinkCounted
 from hilcell.model.verdicts import Cause, Suspicion, decode_verdict
-from hilcell.ports import RecordingEnded
 from hilcell.report.export import xlsx_bytes
 from hilcell.report.facts import read_facts
 from hilcell.report.html import report_html
@@ -35,8 +32,6 @@ from tests.hilcell.report.journals import Writer
 from tests.hilcell.report.pages import Page
 
 LOST = DeviceError("HC-T02", "Tracker", "measure", "no answer")
-REFUSED = DeviceError("HC-R01", "Rail", "connect", "no gateway")
-STRANGE = DeviceError("XY-1", "Tracker", "measure", "no answer")
 
 
 def end_of(folder: Path, fault: Exception | None = None, *, as_json: bool = False) -> None:
@@ -44,48 +39,6 @@ def end_of(folder: Path, fault: Exception | None = None, *, as_json: bool = Fals
     procedure = load_entry("procedures", "home")
     output = JsonOutput(folder.name) if as_json else RunOutput()
     print_end(folder, read_log(folder), procedure, output, fault)
-
-
-@pytest.mark.parametrize(
-    ("fault", "codes"),
-    [
-        (LOST, ["HC-T02"]),
-        (ConnectFailed({"Rail": REFUSED, "Tracker": LOST}), ["HC-R01", "HC-T02"]),
-        (STRANGE, []),
-    ],
-)
-def test_a_fault_names_the_alarms_that_say_what_to_do(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], fault: DeviceError, codes: list[str]
-) -> None:
-    end_of(Writer(tmp_path / "r1").began().ended(), fault)
-    lines = capsys.readouterr().err.splitlines()
-    assert lines[0] == f"hilcell: {fault}".splitlines()[0]
-    assert [line.split()[-1] for line in lines if "explain" in line] == codes
-
-
-@pytest.mark.parametrize(
-    ("code", "fault", "line"),
-    [
-        (3, LOST, "resume with: {resume}"),
-        (4, None, "resume with: {resume}"),
-        (5, ValueError("x"), "resume with: {resume}"),
-        (7, StorageError("full", code="HC-J01"), "resume with: {resume}"),
-        (
-            3,
-            FrameError("a line"),
-            "a new run is advised (hilcell explain HC-C20); resume this one with: {resume}",
-        ),
-        (7, StorageError("damaged", code="HC-J13"), ""),
-        (3, RecordingEnded("it ends here", code="HC-C26"), ""),
-        (2, REFUSED, ""),
-        (0, None, ""),
-    ],
-)
-def test_the_last_line_says_how_a_run_goes_on_wherever_it_can(
-    tmp_path: Path, code: int, fault: Exception | None, line: str
-) -> None:
-    resume = f"hilcell resume 'r 1' --runs {tmp_path}"
-    assert how_to_resume(tmp_path / "r 1", code, fault) == line.format(resume=resume)
 
 
 def test_the_cause_that_ended_a_run_is_shown(
@@ -162,7 +115,7 @@ def test_watch_prints_the_fault_that_ended_a_run(
     Writer(tmp_path / "r1").began().ended("faulted", 3, "Tracker: measure: no answer")
     assert main(["watch", "r1", "--runs", str(tmp_path)]) == 0
     last = capsys.readouterr().err.splitlines()[-1]
-    assert last.endswith("Tracker: measure: no answer")
+    assert "Tracker: measure: no answer" in last
 
 
 PROMPT = {"title": "Seat the reflector in P1", "text": "Take it and seat it."}
