@@ -31,13 +31,14 @@ if TYPE_CHECKING:
     from hilcell.cell.file import Cell
 
 __all__ = [
-    "Ability", "Aims", "Air", "Array", "AxisReading", "Candidate", "Clock", "DeviceError",
-    "DeviceRefused", "Discovers", "Exercise", "ExternalAxis", "HilcellError", "Identity",
-    "InProcessCell", "Inspects", "Jogs", "JointSample", "LinkStatistics", "NoReading", "Rail",
-    "RailReading", "RailTrace", "RecordingEnded", "RepeatsRun", "Robot", "RobotDrivenRail",
-    "RobotReading", "RobotSettings", "Searches", "SimulatedCell", "StatesSettings", "Stopped",
-    "Stream", "StreamBlock", "Streams", "StripLost", "Sweep", "Sweeps", "Tracker", "TrackerReading",
-    "Training", "TwoFaces", "is_simulated_name",
+    "Ability", "Aims", "Air", "Array", "AxisReading", "Candidate", "Clock", "ControllerFile",
+    "ControllerSide", "DeviceError", "DeviceRefused", "Discovers", "Exercise", "ExternalAxis",
+    "HilcellError", "Identity", "InProcessCell", "Inspects", "Jogs", "JointSample",
+    "LinkStatistics", "NeedsFiles", "NoReading", "Rail", "RailReading", "RailTrace",
+    "RecordingEnded", "RepeatsRun", "Robot", "RobotDrivenRail", "RobotReading", "RobotSettings",
+    "Searches", "SimulatedCell", "StatesSettings", "Stopped", "Stream", "StreamBlock", "Streams",
+    "StripLost", "Sweep", "Sweeps", "Tracker", "TrackerReading", "Training", "TwoFaces",
+    "is_simulated_name",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -406,10 +407,14 @@ class RobotSettings:
 
 @runtime_checkable
 class StatesSettings(Protocol):
-    """A connected robot whose controller states its settings."""
+    """A robot whose controller states its settings."""
 
     def settings(self) -> RobotSettings:
-        """Return the settings, read after this call began."""
+        """Return the settings, read after this call began; nothing is written or moved.
+
+        A robot that is not connected is opened for this and closed again: `Robot.connect` refuses a
+        tool that is not the cell file's, so the cell file may be written first.
+        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -448,6 +453,34 @@ class Jogs(Protocol):
         """Return the driver's options with which positions of drive and strip, and the drive's
         speeds, are multiplied by these factors; negative ones change the sign.
         """
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerFile:
+    """A file for a device's controller: its name, the folder it is copied to, and its contents."""
+
+    name: str
+    folder: str  # on the controller; "" for a file that only documents
+    contents: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerSide:
+    """All that a driver needs on its device's controller, and the steps of the person there."""
+
+    title: str
+    version: str
+    files: Sequence[ControllerFile]
+    steps: Sequence[str]  # one paragraph each, in Markdown
+
+
+@runtime_checkable
+class NeedsFiles(Protocol):
+    """A driver's class whose device needs programs or settings of its own."""
+
+    @classmethod
+    def controller_side(cls, options: Mapping[str, object]) -> ControllerSide:
+        """Return files and steps for these options; those that are missing have their defaults."""
 
 
 @runtime_checkable
