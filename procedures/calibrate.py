@@ -45,7 +45,11 @@ TO_GRID = (*TO_STATION, BaseFrame(), RobotGrid())
 
 HOME = Procedure("home", "park the robot; on a rail, reference its drive", (Home(),), point_table)
 WORLD_FRAME = Procedure(
-    "world-frame", "frame {W}", (Home(), WorldFrame(verifies=True)), point_table
+    "world-frame",
+    "frame {W}",
+    (Home(), WorldFrame(verifies=True)),
+    point_table,
+    words=WorldFrame.words,
 )
 STATION_REPEATABILITY = Procedure(
     "station-repeatability",

@@ -15,6 +15,8 @@ from hilcell.calibration.instrument import TWO_FACES, known_lengths, two_faces
 from hilcell.cell.devices import abilities
 from hilcell.cell.file import Cell
 from hilcell.cell.layout import Nest
+from hilcell.cell.tables import Pose
+from hilcell.decoding import typed
 from hilcell.journal.log import Log, world_key
 from hilcell.model.frame import Matrix
 from hilcell.model.plan import PlannedStep, Span
@@ -49,9 +51,15 @@ class Home(Step):
 
 
 class SetUps(StepResult, frozen=True, kw_only=True):
-    """The tracker in {W} at its last set-up and at all of them; how often it moved."""
+    """The tracker in {W} at its last set-up and at all of them; how often it moved.
+
+    ``pose`` is the last as the cell file states it; ``off_mm`` and ``off_deg`` are from there.
+    """
 
     T_W_L: Matrix
+    pose: Pose
+    off_mm: float
+    off_deg: float
     moved: int
     set_ups: list[Matrix]
 
@@ -91,13 +99,29 @@ class WorldFrame:
 
     def result(self, log: Log) -> Result:
         moved, checked = log.set_ups.number, log.verdict(LengthsChecked)
-        set_ups = [log.matrix(world_key(number)).tolist() for number in range(moved + 1)]
-        tracker = SetUps(T_W_L=set_ups[-1], moved=moved, set_ups=set_ups)
+        set_ups = [log.matrix(world_key(number)) for number in range(moved + 1)]
+        off_mm, off_deg = log.cell.tracker.pose.off(set_ups[-1])
+        tracker = SetUps(
+            T_W_L=set_ups[-1].tolist(),
+            pose=Pose.of(set_ups[-1]),
+            off_mm=off_mm,
+            off_deg=off_deg,
+            moved=moved,
+            set_ups=[T.tolist() for T in set_ups],
+        )
         lengths = [
             msgspec.to_builtins(each) | {"off_ppm": each.off_ppm, "holds": each.holds}
             for each in (() if checked is None else checked.lengths)
         ]
         return {"tracker": tracker} | ({"known_lengths": lengths} if lengths else {})
+
+    @staticmethod
+    def words(result: Result) -> str:
+        found = typed(result["tracker"], SetUps)
+        return (
+            f"Tracker in {{W}}, {found.off_mm:.2f} mm and {found.off_deg:.3f} deg from the cell "
+            f"file's:\ntracker.pose = {found.pose.toml}"
+        )
 
     @staticmethod
     def _check_lengths(session: CellSession) -> None:

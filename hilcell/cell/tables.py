@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Annotated
+from typing import Annotated, Self
 
 import msgspec
 import numpy as np
 from msgspec import Meta
 
-from hilcell.geometry.frames import from_zyx
+from hilcell.geometry.frames import from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import Array
 
 Length = Annotated[float, Meta(ge=-1e6, le=1e6)]
@@ -55,6 +55,26 @@ class Pose(Frozen, frozen=True, kw_only=True):
     a_deg: Angle = 0.0
     b_deg: Angle = 0.0
     c_deg: Angle = 0.0
+
+    @classmethod
+    def of(cls, T: Array) -> Self:
+        """Return the pose of a homogeneous matrix (4, 4), to 0.001 mm and 0.00001 deg."""
+        x, y, z, a, b, c = zyx_from_pose(T).tolist()
+        lengths = {"x_mm": round(x, 3), "y_mm": round(y, 3), "z_mm": round(z, 3)}
+        return cls(**lengths, a_deg=round(a, 5), b_deg=round(b, 5), c_deg=round(c, 5))
+
+    @property
+    def toml(self) -> str:
+        """Return it as the value of a key of a cell file."""
+        values = {name: getattr(self, name) + 0.0 for name in self.__struct_fields__}
+        return "{ " + ", ".join(f"{name} = {value}" for name, value in values.items()) + " }"
+
+    def off(self, T: Array) -> tuple[float, float]:
+        """Return how far a homogeneous matrix (4, 4) is from it: mm, and deg about any axis."""
+        turn = self._matrix[:3, :3].T @ T[:3, :3]
+        cosine = np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)
+        shift_mm = float(np.linalg.norm(T[:3, 3] - self._matrix[:3, 3]))
+        return shift_mm, float(np.degrees(np.arccos(cosine)))
 
     def matrix(self) -> Array:
         """Return the homogeneous matrix (4, 4)."""

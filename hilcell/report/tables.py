@@ -28,6 +28,7 @@ from hilcell.calibration.position_errors import (
     validation,
 )
 from hilcell.cell.file import Station
+from hilcell.cell.tables import Pose
 from hilcell.geometry.frames import apply, zyx_from_pose
 from hilcell.geometry.statistics import Figures
 from hilcell.identity import Identity
@@ -156,7 +157,9 @@ class Tables:
         return [Posed(name, matrix, zyx_from_pose(matrix)) for name, matrix in matrices.items()]
 
     def frames(self) -> Table:
-        note = "In {W}; “world” is the tracker in {W}. Angles Z-Y-X."
+        note, log = "In {W}; “world” is the tracker in {W}. Angles Z-Y-X.", self.facts.log
+        if "world" in log.frames:
+            note += f" For the cell file: tracker.pose = {Pose.of(log.matrix('world')).toml}."
         named = Column[Posed]("frame", lambda row: row.name.replace("_", " ").replace(".", ", "))
         return Table((named, *FRAMES[1:]), self.posed(), "Frames", note)
 

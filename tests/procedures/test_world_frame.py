@@ -45,15 +45,20 @@ def test_no_world_is_framed_by_nests_that_stand_otherwise(
 def test_the_tracker_in_the_result_is_that_of_the_last_set_up(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "r").began()
     first, last = np.eye(4), matrix(np.eye(3), np.array([4.0, 0.0, 0.0]))
-    assert result_of(WorldFrame(), read_log(tmp_path / "r"))["tracker"] == {
-        "T_W_L": first.tolist(), "moved": 0, "set_ups": [first.tolist()],
+    pose = dict.fromkeys(("x_mm", "y_mm", "z_mm", "a_deg", "b_deg", "c_deg"), 0.0)
+    found = result_of(WorldFrame(), read_log(tmp_path / "r"))["tracker"]
+    stated_mm, stated_deg = CELL.tracker.pose.off(first)
+    assert found == {
+        "T_W_L": first.tolist(), "pose": pose, "off_mm": stated_mm, "off_deg": stated_deg,
+        "moved": 0, "set_ups": [first.tolist()],
     }  # fmt: skip
     event = {"what": "tracker moved", "set_up": 1, "invalid": []}
     writer.journal.append("event", "", event)
     writer.frame("world.1", matrix=last)
-    assert result_of(WorldFrame(), read_log(writer.left()))["tracker"] == {
-        "T_W_L": last.tolist(), "moved": 1, "set_ups": [first.tolist(), last.tolist()],
-    }  # fmt: skip
+    found = result_of(WorldFrame(), read_log(writer.left()))["tracker"]
+    assert found["pose"] == pose | {"x_mm": 4.0}
+    assert (found["T_W_L"], found["moved"]) == (last.tolist(), 1)
+    assert found["set_ups"] == [first.tolist(), last.tolist()]
 
 
 def test_control_points_come_after_the_slide_s_nests_at_every_station(
