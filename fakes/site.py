@@ -8,9 +8,10 @@ function ``serve(site, port)`` that opens its port and returns the device, not y
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
+from fakes.canopen.rail_device import RailDevice
 from fakes.faults import Faults
 from fakes.time import CellTime
 from fakes.truth.cell_truth import CellTruth, ReplayTruth
@@ -28,6 +29,7 @@ class Site:
     truth: CellTruth | ReplayTruth
     faults: Faults
     time: CellTime
+    rail_device: RailDevice = field(default_factory=RailDevice)
 
     def slide(self) -> RailTruth:
         """Return the rail; raises `SettingsError` for a cell without one."""

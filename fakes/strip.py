@@ -17,6 +17,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import ClassVar
 
+from fakes.canopen.rail_device import RailDevice
 from fakes.canopen.slave import (
     SYNC_COB_ID,
     CanopenSlave,
@@ -36,11 +37,9 @@ from fakes.wires import Connection, Listener, Segments, SerialLine, Server, Wire
 class StripSensor:
     """The head of one strip; call ``apply_faults`` before each reading."""
 
-    COUNTS_PER_MM = 100.0
-
-    def __init__(self, slide: RailState, faults: Faults) -> None:
-        self._faults = faults
-        self.position = round(slide.strip_mm * self.COUNTS_PER_MM)
+    def __init__(self, slide: RailState, faults: Faults, device: RailDevice) -> None:
+        self._faults, self._device = faults, device
+        self.position = self._counts(slide.strip_mm)
         self.velocity_mm_s = 0.0
         self.missing = False  # the magnet
         self._frozen = False
@@ -52,7 +51,10 @@ class StripSensor:
         self.velocity_mm_s = slide.velocity_mm_s
         if not self._frozen and not self.missing:
             at_mm = slide.strip_mm + self._jump_mm
-            self.position = round(at_mm * self.COUNTS_PER_MM) + self._jitter
+            self.position = self._counts(at_mm) + self._jitter
+
+    def _counts(self, strip_mm: float) -> int:
+        return round((strip_mm + self._device.strip_zero_mm) * self._device.strip_counts_per_mm)
 
     def apply_faults(self) -> None:
         self._jump_mm += self._faults.amount("rail.strip_jump")
@@ -77,7 +79,7 @@ class StripLine(Server):
     def __init__(self, site: Site, options: dict[str, object], port: int = 0) -> None:
         self._rail, self._faults = site.slide(), site.faults
         self._lock = threading.Lock()
-        self._sensor = StripSensor(self._rail.poll(), site.faults)
+        self._sensor = StripSensor(self._rail.poll(), site.faults, site.rail_device)
         line = (
             Listener("strip", lambda client: self._serve(Connection(client)), port=port)
             if port
@@ -117,23 +119,26 @@ class StripLine(Server):
                 segments.send(answer)
 
 
-STRIP_NODE = 6
 IDENTITY = NodeIdentity(0x00080196, "hilcell strip sensor (simulated)", 0x484, 0x406, 1, 2014002)
 
 
 class RailStrip(CanopenSlave):
-    """Node 6: says where the strip sees the slide."""
+    """A node that says where the strip sees the slide."""
 
     SPEED_STEP = 10  # 6005:02, in 0.01 mm/s
     POSITION_ERROR = 1 << 0
 
     def __init__(
-        self, slide: RailState, faults: Faults, send: Callable[[int, bytes], None]
+        self,
+        slide: RailState,
+        faults: Faults,
+        send: Callable[[int, bytes], None],
+        device: RailDevice,
     ) -> None:
-        super().__init__(STRIP_NODE, IDENTITY, send)
-        self._sensor = StripSensor(slide, faults)
+        super().__init__(device.strip_node, IDENTITY, send)
+        self._sensor = StripSensor(slide, faults, device)
         self._alarms = 0
-        self._add_objects()
+        self._add_objects(round(1e6 / abs(device.strip_counts_per_mm)))
 
     def observe(self, slide: RailState) -> None:
         self._sensor.observe(slide)
@@ -145,17 +150,18 @@ class RailStrip(CanopenSlave):
         if self._alarms != before:
             self.emergency(encoder_fault * self._sensor.missing, ErrorKind.DEVICE_PROFILE)
 
-    def _add_objects(self) -> None:
+    def _add_objects(self, step_nm: int) -> None:
+        """``step_nm``: 6005:01 and 6501, in 0.001 um."""
         add, record = self.dictionary.add, self.dictionary.add_array
         add(0x6000, 0, Entry("H", 0, allowed=(0,)))
         add(0x6004, 0, Entry("i", 0, "ro", mappable=True, read=lambda: self._sensor.position))
-        step_nm = 10_000  # 6005:01 and 6501, in 0.001 um
         record(0x6005, Entry("I", step_nm, "ro"), Entry("I", self.SPEED_STEP, "ro"))
         record(0x6030, Entry("h", 0, "ro", mappable=True, read=self._speed))
         # 6200h is the profile's name for the event timer of the first TPDO.
         add(0x6200, 0, Entry("H", 0, write=partial(self.dictionary.set, 0x1800, 5)))
         add(0x6500, 0, Entry("H", 0, "ro", mappable=True))
-        add(0x6501, 0, Entry("H", step_nm, "ro"))  # shorter than the profile's U32, as sold
+        short = "H" if step_nm < 1 << 16 else "I"
+        add(0x6501, 0, Entry(short, step_nm, "ro"))  # shorter than the profile's U32, as sold
         add(0x6503, 0, Entry("H", 0, "ro", mappable=True, read=lambda: self._alarms))
         add(0x6504, 0, Entry("H", self.POSITION_ERROR, "ro"))
         add(0x6505, 0, Entry("H", 0, "ro", mappable=True))
@@ -163,7 +169,7 @@ class RailStrip(CanopenSlave):
         add(0x650B, 0, Entry("I", IDENTITY.serial, "ro"))
         # The profile's defaults: 6004 by the cyclic timer, and on SYNC (off).
         self.transmit_pdos += [
-            TransmitPdo(self.dictionary, STRIP_NODE, number, (0x6004,), transmission)
+            TransmitPdo(self.dictionary, self.node, number, (0x6004,), transmission)
             for number, transmission in enumerate((255, 1))
         ]
 
@@ -182,11 +188,12 @@ class StripBus(BusServer):
         super().__init__("strip bus", Faults(), options, port)
         self.address = {"strip": options | self.address}
         self._rail, self._faults = site.slide(), site.faults
-        self._strip = RailStrip(self._rail.poll(), site.faults, self._gateway.send)
-        self._nodes[STRIP_NODE] = self._strip
+        device = site.rail_device
+        self._strip = RailStrip(self._rail.poll(), site.faults, self._gateway.send, device)
+        self._nodes[device.strip_node] = self._strip
 
     def _receive(self, cob_id: int, data: bytes) -> None:
-        of_node = (SYNC_COB_ID, 0x600 + STRIP_NODE)
+        of_node = (SYNC_COB_ID, 0x600 + self._strip.node)
         if cob_id in of_node and self._faults.strikes("rail.strip_silent"):
             return
         if cob_id == SYNC_COB_ID:

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from enum import Enum, IntEnum
 from functools import partial
 
+from fakes.canopen.rail_device import RailDevice
 from fakes.canopen.slave import (
     HEADER,
     SYNC_COB_ID,
@@ -29,13 +30,12 @@ from fakes.canopen.slave import (
 from fakes.canopen.slcan_gateway import BusServer
 from fakes.faults import Faults
 from fakes.site import Site
-from fakes.strip import STRIP_NODE, RailStrip
+from fakes.strip import RailStrip
 from fakes.strip import serve as strip_server
 from fakes.truth.noise import Dither
 from fakes.truth.rail_truth import RailState, RailTruth
 from hilcell.cell.file import RailTable
 
-NODE = 5
 IDENTITY = NodeIdentity(0x00020192, "hilcell rail drive (simulated)", 0x484, 0x402, 1, 2014001)
 
 
@@ -126,19 +126,16 @@ class Status(IntEnum):
 
 
 class RailDrive(CanopenSlave):
-    """Node 5, CiA 402: moves the simulated rail in the modes profile position and homing.
+    """CiA 402: moves the simulated rail in the modes profile position and homing.
 
-    1000 counts/mm; speeds in counts/s, accelerations in counts/s^2. The brake is closed at rest
-    except in OPERATION ENABLED; while it is open, the servo dithers by a few counts and its speed
-    is almost never 0. Bit 12 of the statusword is "set-point acknowledged" in mode 1 and "homing
-    attained" in mode 6.
+    The brake is closed at rest except in OPERATION ENABLED; while it is open, the servo dithers by
+    a few counts and its speed is almost never 0. Bit 12 of the statusword is "set-point
+    acknowledged" in mode 1 and "homing attained" in mode 6.
     """
 
-    NEGATIVE_LIMIT_SWITCH = 17  # homing method
     FOLLOWING_ERROR, LIMIT_SWITCH_HIT = 0x8611, 0x8612
     ABOVE_ZERO = range(1, 1 << 32)
-    DITHER_COUNTS, DITHER_HZ = 2, 50.0
-    COUNTS_PER_MM = 1000.0
+    DITHER_COUNTS, DITHER_HZ, DITHER_SCOPE = 2, 50.0, 5
     INT32 = range(-(1 << 31), 1 << 31)
 
     def __init__(
@@ -147,11 +144,14 @@ class RailDrive(CanopenSlave):
         faults: Faults,
         table: RailTable,
         send: Callable[[int, bytes], None],
+        device: RailDevice,
     ) -> None:
-        super().__init__(NODE, IDENTITY, send)
-        self._rail, self._faults = rail, faults
+        super().__init__(device.drive_node, IDENTITY, send)
+        self._rail, self._faults, self._device = rail, faults, device
+        if device.absolute:
+            rail.master()
         self._slide = rail.poll()
-        self._dither = Dither(self.DITHER_COUNTS, NODE)
+        self._dither = Dither(self.DITHER_COUNTS, self.DITHER_SCOPE)
         self._reset_state()
         self._add_objects(table)
         self._add_pdos()
@@ -170,7 +170,8 @@ class RailDrive(CanopenSlave):
         self._overspeed = 1.0
         self._limited = self._following_error = False
         self._open_switch = 0
-        self._homing = self._homed = self._homing_error = False
+        self._homing = self._homing_error = False
+        self._homed = self._device.absolute
 
     # -- observed values ------------------------------------------------------------------
 
@@ -256,7 +257,7 @@ class RailDrive(CanopenSlave):
 
     def _brake_down(self, deceleration: int) -> None:
         if self._busy:
-            self._rail.quick_stop(deceleration / self.COUNTS_PER_MM)
+            self._rail.quick_stop(self._ramp_mm_s2(deceleration))
         else:
             self._come_to_rest()
 
@@ -358,7 +359,7 @@ class RailDrive(CanopenSlave):
     def _operate(self, rising: int, falling: int) -> None:
         if rising & Control.HALT and self._busy:
             self._halted = True
-            self._rail.quick_stop(self.dictionary.number(0x6084) / self.COUNTS_PER_MM)
+            self._rail.quick_stop(self._ramp_mm_s2(self.dictionary.number(0x6084)))
         if self._mode == Mode.PROFILE_POSITION:
             if falling & Control.HALT and self._halted:
                 self._halted = False
@@ -387,28 +388,47 @@ class RailDrive(CanopenSlave):
     def _start(self, target: int) -> None:
         number = self.dictionary.number
         self._target, self._reached, self._busy = target, False, True
-        gap = target - self._position()  # in counts, which wrap
-        self._direction = (gap > 0) - (gap < 0)
+        gap_mm = (target - self._position()) / self._device.counts_per_mm  # of counts, which wrap
+        self._direction = (gap_mm > 0) - (gap_mm < 0)
         speed = self._overspeed * min(number(0x6081), number(0x607F))
         # The simulated trapezoid is symmetric; the gentler ramp applies at both ends.
-        acceleration = min(number(0x6083), number(0x6084))
-        end_mm = self._slide.encoder_mm + gap / self.COUNTS_PER_MM
-        self._rail.move(end_mm, speed / self.COUNTS_PER_MM, acceleration / self.COUNTS_PER_MM)
+        ramp_mm_s2 = self._ramp_mm_s2(min(number(0x6083), number(0x6084)))
+        self._rail.move(self._slide.encoder_mm + gap_mm, self._speed_mm_s(speed), ramp_mm_s2)
+
+    def _speed_mm_s(self, speed: float) -> float:
+        device = self._device
+        return min(speed * device.unit_counts_s / abs(device.counts_per_mm), device.motor_mm_s)
+
+    def _ramp_mm_s2(self, ramp: float) -> float:
+        device = self._device
+        return min(ramp * device.unit_counts_s / abs(device.counts_per_mm), device.motor_mm_s2)
 
     def _start_homing(self) -> None:
+        number, device = self.dictionary.number, self._device
+        method, speed_mm_s = number(0x6098), self._speed_mm_s(number(0x6099, 1))
         self._reached = self._homed = False
-        self._homing_error = self.dictionary.number(0x6098) != self.NEGATIVE_LIMIT_SWITCH
+        self._homing_error = method not in device.homing_methods
         if self._homing_error:
             return
         self._homing = self._busy = True
-        self._target = 0
-        self._rail.home(self.dictionary.number(0x6099, 1) / self.COUNTS_PER_MM)
+        self._target = device.home_offset_sign * number(0x607C)
+        reads_mm = self._target / device.counts_per_mm
+        positive = method in (18, 34)  # for the drive
+        upper = positive == (device.sense > 0)
+        if method in (17, 18):
+            self._rail.home(speed_mm_s, upper=upper, reads_mm=reads_mm)
+        elif method in (33, 34):
+            turn_mm = device.counts_per_turn / abs(device.counts_per_mm)
+            slow_mm_s = self._speed_mm_s(number(0x6099, 2))
+            self._rail.home_to_index(slow_mm_s, turn_mm, upwards=upper, reads_mm=reads_mm)
+        else:
+            self._rail.master(reads_mm)
 
     # -- objects ------------------------------------------------------------------------------
 
     def _position(self) -> int:
         """Return the encoder's count, which wraps at 32 bits."""
-        count = round(self._slide.encoder_mm * self.COUNTS_PER_MM)
+        count = round(self._slide.encoder_mm * self._device.counts_per_mm)
         return (count - self.INT32[0]) % len(self.INT32) + self.INT32[0]
 
     def _dithers(self) -> bool:
@@ -419,11 +439,14 @@ class RailDrive(CanopenSlave):
 
     def _velocity(self) -> int:
         hunting = self.DITHER_HZ * self._dither.change if self._dithers() else 0.0
-        return round(self._slide.velocity_mm_s * self.COUNTS_PER_MM + hunting)
+        speed = self._slide.velocity_mm_s * self._device.counts_per_mm + hunting  # counts/s
+        return round(speed / self._device.unit_counts_s)
 
     def _inputs(self) -> int:
         negative = self._slide.at_negative_limit or self._open_switch < 0
         positive = self._slide.at_positive_limit or self._open_switch > 0
+        if self._device.sense < 0:
+            negative, positive = positive, negative
         return int(negative) | int(positive) << 1
 
     def _statusword(self) -> int:
@@ -448,8 +471,9 @@ class RailDrive(CanopenSlave):
         self._commanded = True
 
     def _add_objects(self, table: RailTable) -> None:
-        speed = round(table.speed_mm_s * self.COUNTS_PER_MM)
-        acceleration = round(table.acceleration_mm_s2 * self.COUNTS_PER_MM)
+        device, unit_mm_s = self._device, self._device.unit_mm_s
+        speed = round(table.speed_mm_s / unit_mm_s)
+        acceleration = round(table.acceleration_mm_s2 / unit_mm_s)
         add, record = self.dictionary.add, self.dictionary.add_array
         product = partial(self._faults.instead, "rail.wrong_identity", IDENTITY.product)
         self.dictionary.entry(0x1018, 2).read = product
@@ -469,7 +493,7 @@ class RailDrive(CanopenSlave):
         add(0x606F, 0, Entry("H", 100))
         add(0x6070, 0, Entry("H", 0))
         add(0x607A, 0, Entry("i", 0, mappable=True))
-        add(0x607C, 0, Entry("i", 0, allowed=(0,)))
+        add(0x607C, 0, Entry("i", 0))
         record(0x607D, Entry("i", self.INT32[0]), Entry("i", self.INT32[-1]))
         for index, value in {
             0x607F: 2 * speed,
@@ -479,18 +503,23 @@ class RailDrive(CanopenSlave):
             0x6085: 2 * acceleration,
         }.items():
             add(index, 0, Entry("I", value, mappable=True, allowed=self.ABOVE_ZERO))
-        add(0x6098, 0, Entry("b", 0, allowed=(0, self.NEGATIVE_LIMIT_SWITCH)))
-        speeds = (speed // 5, speed // 50)
+        add(0x6098, 0, Entry("b", 0, allowed=(0, *device.homing_methods)))
+        speeds = (max(1, speed // 5), max(1, speed // 50))
         record(0x6099, *(Entry("I", value, allowed=self.ABOVE_ZERO) for value in speeds))
         add(0x609A, 0, Entry("I", acceleration, allowed=self.ABOVE_ZERO))
         add(0x60FD, 0, Entry("I", 0, "ro", mappable=True, read=self._inputs))
         add(0x6502, 0, Entry("I", 1 << 0 | 1 << 5, "ro"))
+        if device.states_units:
+            turn, increments = Entry("I", 1, "ro"), Entry("I", device.counts_per_turn, "ro")
+            record(0x6090, increments, turn)
+            add(0x60A8, 0, Entry("I", 0x00B50000, "ro"))  # increments
+            add(0x60A9, 0, Entry("I", device.speed_code, "ro"))
 
     def _add_pdos(self) -> None:
         for number, more in enumerate(((), (0x6060,), (0x607A,))):
-            self.receive_pdos += [ReceivePdo(self.dictionary, NODE, number, (0x6040, *more))]
+            self.receive_pdos += [ReceivePdo(self.dictionary, self.node, number, (0x6040, *more))]
         for number, more in enumerate(((), (0x6061,), (0x6064,), (0x606C,))):
-            self.transmit_pdos += [TransmitPdo(self.dictionary, NODE, number, (0x6041, *more))]
+            self.transmit_pdos += [TransmitPdo(self.dictionary, self.node, number, (0x6041, *more))]
 
 
 class RailServer(BusServer):
@@ -505,11 +534,12 @@ class RailServer(BusServer):
         if line is not None:
             self._listeners, self.address = (line,), self.address | line.address
         self._rail, self._faults, self._time = rail, faults, site.time
-        self._drive = RailDrive(rail, faults, table, self._transmit)
-        self._strip = None if line else RailStrip(rail.poll(), faults, self._transmit)
-        self._nodes[NODE] = self._drive
+        self._device = device = site.rail_device
+        self._drive = RailDrive(rail, faults, table, self._transmit, device)
+        self._strip = None if line else RailStrip(rail.poll(), faults, self._transmit, device)
+        self._nodes[device.drive_node] = self._drive
         if self._strip is not None:
-            self._nodes[STRIP_NODE] = self._strip
+            self._nodes[device.strip_node] = self._strip
         self._slide_moves = False
         self._silent: set[int] = set()
         self._delay_s = 0.0
@@ -550,7 +580,7 @@ class RailServer(BusServer):
 
     def _receive(self, cob_id: int, data: bytes) -> None:
         self._delay_s = 0.0
-        sdo_requests = (0x600 + NODE, 0x600 + STRIP_NODE)
+        sdo_requests = tuple(0x600 + node for node in self._nodes)
         sdo_read = b"\x40"
         if cob_id == SYNC_COB_ID:
             self._delay_s = self._faults.amount("rail.late_tpdo")
@@ -603,7 +633,7 @@ class RailServer(BusServer):
             self._drive.fail(code)
         if (switch := take("rail.limit_switch", 1)) is not None:
             self._drive.trip_limit(switch)
-        if (number := take("rail.node_reset", NODE)) is not None:
+        if (number := take("rail.node_reset", self._device.drive_node)) is not None:
             self._silent.discard(number)
             if (node := self._nodes.get(number)) is not None:  # which this bus has
                 node.reset(now_s)
@@ -613,7 +643,7 @@ class RailServer(BusServer):
     def _heartbeat_sent(self, node: int, *, boot_up: bool) -> bool:
         if boot_up:
             return True
-        if (lost := self._number("rail.heartbeat_loss", NODE)) is not None:
+        if (lost := self._number("rail.heartbeat_loss", self._device.drive_node)) is not None:
             self._silent.add(lost)
         return node not in self._silent
 

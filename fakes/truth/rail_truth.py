@@ -66,6 +66,7 @@ class RailTruth:
 
     SWITCH_MM = 1.0  # distance of the limit switches from the travel
     STOP_MM = 0.5  # distance behind them at which the slide stops
+    HOMING_MM_S2 = 200.0
 
     def __init__(self, cell: Cell, seed: int, time: CellTime, faults: Faults) -> None:
         self._lock = threading.RLock()
@@ -80,7 +81,7 @@ class RailTruth:
         self._backlash_mm = self._shape.backlash_mm
         self._slip_mm = 0.0
         self._braked = True
-        self._homing = False
+        self._homing, self._homed_reads_mm = False, 0.0  # of the encoder, where it has homed
         power_on_mm = machine.rail.power_on_mm
         self._zero_mm = power_on_mm  # of the motor: its encoder reads 0 at power-on
         self._play_mm = power_on_mm  # slide behind the backlash, in the motor's coordinate
@@ -113,22 +114,43 @@ class RailTruth:
             self._path = self._fresh_path().brake(deceleration_mm_s2)
             self._landing_mm = (before_mm, before_mm)
 
-    def home(self, speed_mm_s: float) -> None:
-        """Move to the negative limit switch and back off it; there the encoder reads 0."""
-        homing_mm_s2, back_off_mm_s = 200.0, 10.0
+    def home(self, speed_mm_s: float, *, upper: bool = False, reads_mm: float = 0.0) -> None:
+        """Move to the lower or the ``upper`` limit switch and back off it.
+
+        There the encoder reads ``reads_mm``.
+        """
+        back_off_mm_s = 10.0
         with self._lock:
             if self._braked:
                 return
-            a = homing_mm_s2
-            path = self._fresh_path().brake(a).travel(self._low_mm - self.STOP_MM, speed_mm_s, a)
-            path.travel(self._low_mm + self.SWITCH_MM, back_off_mm_s, a)
-            self._start(path, "home", self.SWITCH_MM)
-            self._homing = True
+            end_mm, out = (self._high_mm, 1) if upper else (self._low_mm, -1)
+            a = self.HOMING_MM_S2
+            path = self._fresh_path().brake(a).travel(end_mm + out * self.STOP_MM, speed_mm_s, a)
+            path.travel(end_mm - out * self.SWITCH_MM, back_off_mm_s, a)
+            self._home_along(path, reads_mm)
 
-    def master(self) -> None:
-        """Let the encoder read the motor's true position: it is absolute."""
+    def home_to_index(
+        self, speed_mm_s: float, turn_mm: float, *, upwards: bool = False, reads_mm: float = 0.0
+    ) -> None:
+        """Move to the next index pulse below, or above: there the encoder reads ``reads_mm``."""
         with self._lock:
-            self._zero_mm = 0.0
+            if self._braked:
+                return
+            path = self._fresh_path().brake(self.HOMING_MM_S2)
+            turns = path.end / turn_mm
+            turn = math.floor(turns) + 1 if upwards else math.ceil(turns) - 1
+            path.travel(turn * turn_mm, speed_mm_s, self.HOMING_MM_S2)
+            self._home_along(path, reads_mm)
+
+    def _home_along(self, path: Path, reads_mm: float) -> None:
+        self._start(path, "home", self.SWITCH_MM)
+        self._homing, self._homed_reads_mm = True, reads_mm
+
+    def master(self, reads_mm: float | None = None) -> None:
+        """Let the encoder read ``reads_mm`` here; None: the motor's true position."""
+        with self._lock:
+            here_mm = self._path.at(self._time.now_s())[0]
+            self._zero_mm = 0.0 if reads_mm is None else here_mm - reads_mm
 
     def brake(self, closed: bool) -> None:
         brake_mm_s2 = 5000.0
@@ -228,7 +250,7 @@ class RailTruth:
         self._followed_s = now_s
         if self._homing and now_s >= self._path.end_s:
             self._homing = False
-            self._zero_mm = self._path.end
+            self._zero_mm = self._path.end - self._homed_reads_mm
 
     def _slide_mm(self, now_s: float) -> float:
         if self._rest_position is not None and self._rest_position[0] is self._path:

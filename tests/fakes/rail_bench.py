@@ -21,6 +21,7 @@ from typing import cast
 import canopen
 from canopen import objectdictionary as od
 
+from fakes.canopen.rail_device import RailDevice
 from fakes.canopen.rail_server import RailServer
 from fakes.faults import Faults
 from fakes.site import Site
@@ -30,6 +31,7 @@ from fakes.truth.rail_truth import RailTruth
 from hilcell.cell.file import load_cell
 
 CELL = load_cell("paper")
+AS_STATED = RailDevice()
 DRIVE, STRIP, MASTER = 5, 6, 127
 HUNTING = 200  # counts/s
 BIT_10, BIT_11, BIT_12, BIT_13 = 1 << 10, 1 << 11, 1 << 12, 1 << 13
@@ -37,9 +39,11 @@ TICK_S = 0.01
 PATIENT_S = 600.0  # of canopen, which a busy PC would keep waiting
 
 
-def site_of(rail: RailTruth, faults: Faults, time: CellTime) -> Site:
+def site_of(
+    rail: RailTruth, faults: Faults, time: CellTime, device: RailDevice = AS_STATED
+) -> Site:
     """Return a site whose truth is a rail alone, which is made sooner."""
-    return Site(CELL, cast("CellTruth", SimpleNamespace(rail=rail)), faults, time)
+    return Site(CELL, cast("CellTruth", SimpleNamespace(rail=rail)), faults, time, device)
 
 
 def until(holds: Callable[[], bool]) -> None:
@@ -129,10 +133,10 @@ class Asker(ABC):
 class Bus(Asker):
     """A fresh rail behind an open channel; ``now_s`` is the time of heartbeats and timers."""
 
-    def __init__(self) -> None:
+    def __init__(self, device: RailDevice = AS_STATED) -> None:
         self.time, self.faults = CellTime(), Faults()
         self.rail = RailTruth(CELL, 1, self.time, self.faults)
-        self.server = RailServer(site_of(self.rail, self.faults, self.time))
+        self.server = RailServer(site_of(self.rail, self.faults, self.time, device))
         self.now_s = 0.0
         self.frames: list[tuple[int, bytes]] = []
         self.server._gateway.send = lambda *frame: self.frames.append(frame)  # type: ignore[method-assign]
@@ -186,8 +190,8 @@ class Bus(Asker):
 
 
 @contextmanager
-def on_bus() -> Iterator[Bus]:
-    bus = Bus()
+def on_bus(device: RailDevice = AS_STATED) -> Iterator[Bus]:
+    bus = Bus(device)
     try:
         yield bus
     finally:
@@ -202,11 +206,11 @@ class Bench:
 
 
 @contextmanager
-def served(speed: float = math.inf) -> Iterator[Bench]:
+def served(speed: float = math.inf, device: RailDevice = AS_STATED) -> Iterator[Bench]:
     """Serve a fresh rail; paced at ``speed`` times real time, or stepped."""
     cell_time, faults = CellTime(speed), Faults()
     rail = RailTruth(CELL, 1, cell_time, faults)
-    server = RailServer(site_of(rail, faults, cell_time))
+    server = RailServer(site_of(rail, faults, cell_time, device))
     server.start()
     try:
         yield Bench(server, rail, faults)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
+from fakes.canopen.rail_device import RailDevice
 from fakes.canopen.rail_server import Command, RailDrive, State
 from fakes.faults import Faults
 from fakes.truth.rail_truth import RailState, RailTruth
@@ -56,7 +57,7 @@ class StillRail(RailTruth):
 
 def alone(state: State = State.SWITCH_ON_DISABLED) -> tuple[RailDrive, StillRail]:
     rail = StillRail()
-    drive = RailDrive(rail, Faults(), CELL.rail, lambda *_: None)
+    drive = RailDrive(rail, Faults(), CELL.rail, lambda *_: None, RailDevice())
     drive.state = state
     rail.calls.clear()
     return drive, rail
