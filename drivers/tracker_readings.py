@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Annotated, TypeVar
+from typing import Annotated, Literal, TypeAlias, TypeVar
 
 import numpy as np
 from msgspec import Meta
@@ -11,6 +11,7 @@ from msgspec import Meta
 from drivers.device_errors import TRACKER
 from drivers.supervision import Deadline
 from hilcell.ports import (
+    Ability,
     Array,
     Clock,
     DeviceError,
@@ -24,7 +25,27 @@ OUTLIER_FACTOR = (
     6.0  # times the scatter of the others from their mean: a repeat beyond is an outlier
 )
 BUSY_PAUSE_S = 0.1  # before a busy tracker is asked again
+Needed: TypeAlias = Literal["mandatory", "optional"]
 Positive = Annotated[float, Meta(gt=0)]
+
+
+class TrackerAbilities:
+    """Collects the abilities of a tracker."""
+
+    def __init__(self) -> None:
+        self.listed: list[Ability] = []
+
+    def need(self, feature: str, has: bool, note: str) -> None:
+        """Add one without which no run begins."""
+        self._add(feature, has, "mandatory", note)
+
+    def may(self, feature: str, has: bool, note: str) -> None:
+        """Add one that a run does without; ``note`` says what replaces it."""
+        self._add(feature, has, "optional", note)
+
+    def _add(self, feature: str, has: bool, needed: Needed, note: str) -> None:
+        state: Literal["has", "has not"] = "has" if has else "has not"
+        self.listed.append(Ability(TRACKER.name, feature, state, needed, note))
 
 
 def check_serial(serial: str, expected: str) -> None:

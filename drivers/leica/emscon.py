@@ -237,12 +237,17 @@ def check_measured(packet: Packet, kind: type[Single | Multi], operation: str) -
 
 @dataclass(frozen=True, slots=True)
 class SystemStatus:
-    """Processor state, version, weather monitor and serial number, as the tracker reports them."""
+    """States of processor, laser, distance meter and weather monitor; version, serial number."""
 
     INITIALIZED: ClassVar[int] = 5  # of the processor
+    LASER_READY: ClassVar[int] = 3
+    ADM_READY: ClassVar[int] = 2
+    NO_SENSOR: ClassVar[int] = 99  # type of the tracker
     AIR_MEASURED: ClassVar[int] = 2  # the weather monitor reads, and corrects the distances by it
 
     processor: int
+    laser: int
+    adm: int
     version: str
     weather_monitor: int
     serial: int
@@ -252,7 +257,8 @@ class SystemStatus:
         """Return the body of the reply to GetSystemStatus; raises `struct.error`."""
         values = struct.unpack_from("<IIII iii Iii", body)
         major, minor, build, weather, _flags, serial = values[4:]
-        return cls(values[1], f"{major}.{minor}.{build}", weather, serial)
+        _last, processor, laser, adm = values[:4]
+        return cls(processor, laser, adm, f"{major}.{minor}.{build}", weather, serial)
 
 
 class Reflector(NamedTuple):
@@ -267,7 +273,7 @@ class Reflector(NamedTuple):
     def decode(cls, body: bytes) -> Self:
         """Return the body of one reply to GetReflectors; raises `struct.error`."""
         total, number, _kind, offset_mm, name = struct.unpack_from("<iiId64s", body)
-        return cls(total, number, offset_mm, _text(name))
+        return cls(total, number, offset_mm, utf_16_text(name))
 
 
 def encode(command: int, body: bytes = b"") -> bytes:
@@ -352,10 +358,10 @@ def decode(kind: int, body: bytes) -> Packet | None:
 def decode_tracker_name(body: bytes) -> str:
     """Return the name in the body of the reply to GetTrackerInfo; raises `struct.error`."""
     _kind, name = struct.unpack_from("<I64s", body)
-    return _text(name)
+    return utf_16_text(name)
 
 
-def _text(field: bytes) -> str:
+def utf_16_text(field: bytes) -> str:
     return field.decode("utf-16-le", errors="replace").partition("\0")[0]
 
 

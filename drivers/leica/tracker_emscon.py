@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import struct
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import closing
+from threading import Event
 from typing import Annotated, NamedTuple, Self, TypeVar
 
 import msgspec
@@ -34,6 +36,7 @@ from drivers.leica.emscon import (
     SystemStatus,
     Value,
 )
+from drivers.leica.emscon_abilities import Reported, TrackerInfo, abilities
 from drivers.supervision import Deadline, on_failure
 from drivers.tracker_readings import (
     Positive,
@@ -50,9 +53,12 @@ from drivers.tracker_readings import (
     scatter_error,
 )
 from drivers.wires import TcpLink
+from hilcell.clock import WallClock
 from hilcell.ports import (
+    Ability,
     Air,
     Array,
+    Candidate,
     Clock,
     DeviceError,
     HilcellError,
@@ -91,7 +97,9 @@ class Place(NamedTuple):
 
 
 class LeicaEmsconTracker:
-    """Satisfies `hilcell.ports.Tracker`, and its `Streams`, `TwoFaces` and `Aims`."""
+    """Satisfies `hilcell.ports.Tracker`, and its `Streams`, `TwoFaces`, `Aims`, `Inspects` and
+    `Discovers`.
+    """
 
     AIR = "values that air can have"
     # How long the tracker may search; less than MOVE_S.
@@ -131,17 +139,51 @@ class LeicaEmsconTracker:
     # -- the port -----------------------------------------------------------------------------
 
     def connect(self) -> list[Identity]:
-        self.close()
-        options = self._options
-        self._link = TcpLink(TRACKER, options.host, options.port, self._clock.check)
-        self._reader, self._packets, self._reflector = emscon.PacketReader(), deque(), ""
+        self._open()
         with on_failure(self.close):
-            identity = self._identify()
+            identity = self._identity(self._initialised())
             self._set_up()
-            self._numbers = self._read_reflectors()
-            self._choose(options.reflector)
+            self._numbers = {clean(each.name): each.number for each in self._reflectors()}
+            self._choose(self._options.reflector)
             self._first_face()
         return [identity]
+
+    def inspect(self) -> list[Ability]:
+        continuous = Setting.CONTINUOUS_TIME
+        self._open()
+        with closing(self):
+            info = self._request(Command.GET_TRACKER_INFO)
+            direction = self._answer_of(Command.GET_DIRECTION, Layout.DIRECTION)
+            face = self._answer_of(Setting.FACE.read, Setting.FACE.layout)
+            reported = Reported(
+                status=self._system_status(),
+                info=self._decoded(TrackerInfo.decode, info.body) if info.body else None,
+                reflectors=self._reflectors(),
+                air=self._air(),
+                face=None if face is None else int(face[0]),
+                tells_direction=direction is not None,
+                streams=self._answer_of(continuous.read, continuous.layout) is not None,
+            )
+        return abilities(reported, self._options.reflector, self._options.serial)
+
+    @classmethod
+    def discover(cls, known: Mapping[str, object]) -> list[Candidate]:
+        """Return the tracker at the host that a person gave, if it answers as emScon."""
+        if not known.get("host"):
+            return []
+        given = {name: known[name] for name in ("host", "port") if name in known}
+        anything = {"reflector": "", "max_std_mm": 1.0, "find_radius_mm": 1.0}
+        try:
+            tracker = cls(msgspec.convert(given | anything, cls.Options), WallClock(Event()))
+            tracker._open()
+            with closing(tracker):
+                identity = tracker._identity(tracker._system_status())
+        except (DeviceError, msgspec.ValidationError):
+            return []
+        options = tracker._options
+        place: dict[str, object] = {"host": options.host, "port": options.port}
+        title = f"{identity.text}, at {identity.address}"
+        return [Candidate(title, place | {"serial": identity.serial}, [identity])]
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         near_mm = checked_request(near_mm, samples)
@@ -218,10 +260,16 @@ class LeicaEmsconTracker:
 
     # -- connecting ---------------------------------------------------------------------------
 
-    def _identify(self) -> Identity:
+    def _open(self) -> None:
+        self.close()
+        options = self._options
+        self._link = TcpLink(TRACKER, options.host, options.port, self._clock.check)
+        self._reader, self._packets, self._reflector = emscon.PacketReader(), deque(), ""
+
+    def _initialised(self) -> SystemStatus:
+        """Initialise a tracker that is not; refuse another one before its head turns."""
         status = self._system_status()
-        serial = str(status.serial)
-        check_serial(serial, self._options.serial)
+        check_serial(str(status.serial), self._options.serial)
         if status.processor != SystemStatus.INITIALIZED:
             self._ask(Command.INITIALIZE, limit_s=self.INITIALIZE_S)
             status = self._system_status()
@@ -231,12 +279,15 @@ class LeicaEmsconTracker:
             raise TRACKER.refused(
                 "HC-T04", "initialise", found, expected=expected, processor=status.processor
             )
+        return status
+
+    def _identity(self, status: SystemStatus) -> Identity:
         self._air_measured = status.weather_monitor == SystemStatus.AIR_MEASURED
         address = f"{self._options.host}:{self._options.port}"
         answer = self._request(Command.GET_TRACKER_INFO).body  # nothing by older controllers
         name = clean(self._decoded(emscon.decode_tracker_name, answer)) if answer else ""
         firmware = f"emScon {status.version}"
-        return leica_identity(name, f", {firmware}", serial, address, firmware)
+        return leica_identity(name, f", {firmware}", str(status.serial), address, firmware)
 
     def _system_status(self) -> SystemStatus:
         body = self._ask(Command.GET_SYSTEM_STATUS)
@@ -254,9 +305,12 @@ class LeicaEmsconTracker:
         settings.write(Setting.STATIONARY, round(1000 * options.reading_s), 1)
         settings.write(Setting.SEARCH, options.find_radius_mm, self.SEARCH_MS)
         settings.record_frame()
-        air = self._numbers_of(Command.GET_ENVIRONMENT, Layout.ENVIRONMENT)
-        if problem := emscon.air_problem(*air):
+        if problem := emscon.air_problem(*self._air()):
             raise TRACKER.refused("HC-T05", "connect", problem, expected=self.AIR)
+
+    def _air(self) -> tuple[float, float, float]:
+        celsius, mbar, percent = self._numbers_of(Command.GET_ENVIRONMENT, Layout.ENVIRONMENT)
+        return celsius, mbar, percent
 
     def _turn_to(self, face: int) -> None:
         """Turn over, and believe it only when the face reads back."""
@@ -267,24 +321,20 @@ class LeicaEmsconTracker:
         """Turn back a tracker that an earlier engine left in its second face. Older controllers do
         not report their face.
         """
-        answer = self._request(Setting.FACE.read)
-        if answer.status or not answer.body:
-            return
-        (face,) = self._decoded(Setting.FACE.layout.unpack_from, answer.body)
-        if face == Value.SECOND_FACE:
+        face = self._answer_of(Setting.FACE.read, Setting.FACE.layout)
+        if face == (Value.SECOND_FACE,):
             self._turn_to(Value.FIRST_FACE)
-        elif face == Value.FIRST_FACE:
+        elif face == (Value.FIRST_FACE,):
             self.settings.record(Setting.FACE)
 
-    def _read_reflectors(self) -> dict[str, int]:
-        """Return the tracker's reflectors: name to number. One reply comes for each of them."""
+    def _reflectors(self) -> list[Reflector]:
+        """Return the tracker's reflectors. One reply comes for each of them."""
         first = self._decoded(Reflector.decode, self._ask(Command.GET_REFLECTORS))
-        found = {clean(first.name): first.number}
+        found = [first]
         deadline = Deadline(self.REPLY_S)
         for _ in range(first.total - 1):
             body = self._status(Command.GET_REFLECTORS, deadline).body
-            reflector = self._decoded(Reflector.decode, body)
-            found[clean(reflector.name)] = reflector.number
+            found.append(self._decoded(Reflector.decode, body))
         return found
 
     def _choose(self, reflector: str) -> None:
@@ -313,11 +363,9 @@ class LeicaEmsconTracker:
     def _searched(self) -> dict[str, object]:
         """Return how far a search went, and where the beam looks where the controller tells."""
         radius_mm, _limit_ms = self.settings.recorded(Setting.SEARCH)
-        answer = self._request(Command.GET_DIRECTION)
-        if answer.status or not answer.body:
-            return {"searched_mm": radius_mm}
-        beam = emscon.direction(*self._decoded(Layout.DIRECTION.unpack_from, answer.body))
-        return {"searched_mm": radius_mm, "beam": beam}
+        angles = self._answer_of(Command.GET_DIRECTION, Layout.DIRECTION)
+        beam = {} if angles is None else {"beam": emscon.direction(*angles)}
+        return {"searched_mm": radius_mm, **beam}
 
     def _find(self, near_mm: Array) -> None:
         body = Layout.DISTANCE.pack(float(np.linalg.norm(near_mm)))
@@ -438,6 +486,13 @@ class LeicaEmsconTracker:
 
     def _numbers_of(self, command: int, layout: struct.Struct) -> tuple[float, ...]:
         return self._decoded(layout.unpack_from, self._ask(command))
+
+    def _answer_of(self, command: int, layout: struct.Struct) -> tuple[float, ...] | None:
+        """Return numbers that an older controller does not know: None there."""
+        reply = self._request(command)
+        if reply.status or not reply.body:
+            return None
+        return self._decoded(layout.unpack_from, reply.body)
 
     def _decoded(self, decode: Callable[[bytes], T], body: bytes) -> T:
         try:

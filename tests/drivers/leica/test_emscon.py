@@ -148,10 +148,10 @@ def test_an_independent_peers_replies_are_read() -> None:
     status = cesapi.GetSystemStatusRT()
     status.trackerProcessorStatus, status.lTrackerSerialNumber = 5, 390793
     status.esVersionNumber.iMajorVersionNumber, status.esVersionNumber.iBuildNumber = 3, 900
-    status.weatherMonitorStatus = 1
+    status.weatherMonitorStatus, status.laserStatus, status.admStatus = 1, 3, 2
     (reply,) = PacketReader().feed(status.pack())
     assert isinstance(reply, Reply)
-    assert SystemStatus.decode(reply.body) == SystemStatus(5, "3.0.900", 1, 390793)
+    assert SystemStatus.decode(reply.body) == SystemStatus(5, 3, 2, "3.0.900", 1, 390793)
     reflector = cesapi.GetReflectorsRT()
     reflector.iTotalReflectors, reflector.iInternalReflectorId = 2, 7
     reflector.dSurfaceOffset = 19.05

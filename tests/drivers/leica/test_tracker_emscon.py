@@ -12,7 +12,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hilcell.ports import Aims, Air, DeviceError, DeviceRefused, NoReading, Stopped, Tracker
+from drivers.leica.tracker_emscon import LeicaEmsconTracker
+from hilcell.ports import (
+    Aims,
+    Air,
+    DeviceError,
+    DeviceRefused,
+    Discovers,
+    Inspects,
+    NoReading,
+    Stopped,
+    Tracker,
+)
 from tests.drivers.leica.emscon_bed import POINT, SMR, EmsconBed, Quick, measuring, punctual
 from tests.drivers.leica.emscon_peer import (
     CLOSING,
@@ -631,3 +642,80 @@ def test_a_failed_search_states_where_the_beam_looked(
         else:
             assert error.fields["beam"] == pytest.approx(beam, abs=1e-12)
             assert error.fields["searched_mm"] == searched_mm
+
+
+# -- what it reports before anything is written --------------------------------------------------
+
+READING = {1, 13, 15, 21, 29, 31, 41, 42, 44, 48, 66, 98, 132}
+
+
+def system_status(*, processor: int = 5, laser: int = 3, adm: int = 2) -> bytes:
+    return struct.pack("<IIIIiiiIii", 0, processor, laser, adm, 3, 8, 900, 2, 0, 390793)
+
+
+def info(*, adm: bool = True, sensor: int = 70, faces: int = 2) -> bytes:
+    name = "AT401".encode("utf-16-le").ljust(64, b"\0")
+    lengths_mm, angles = (0.0, 160_000.0, 500.0), (6.28, 3.14)
+    return struct.pack(
+        "<I64s5i3d2i2dI2i", sensor, name, 390793, 1, adm, 1, 1, *lengths_mm, 1000, faces, *angles,
+        1, 3, 8,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("lie", "feature", "state", "needed"),
+    [
+        ({}, "serial number", "has", "mandatory"),
+        ({}, "ADM (absolute distances)", "has", "mandatory"),
+        ({}, "laser and ADM ready (warmed up)", "has", "mandatory"),
+        ({1: system_status(laser=2)}, "laser and ADM ready (warmed up)", "has not", "mandatory"),
+        ({1: system_status(adm=3)}, "laser and ADM ready (warmed up)", "has not", "mandatory"),
+        ({1: system_status(processor=4)}, "initialised", "has not", "optional"),
+        ({}, "weather station corrects distances", "has", "optional"),
+        ({}, "reflector 'SMR 1.5in'", "has", "optional"),
+        ({132: info(adm=False)}, "ADM (absolute distances)", "has not", "mandatory"),
+        ({132: info(sensor=99)}, "sensor", "has not", "mandatory"),
+        ({132: b""}, "type", "has not", "optional"),
+        ({132: info(faces=1)}, "second face", "has not", "optional"),
+        ({98: b""}, "second face", "has not", "optional"),
+        ({31: b""}, "continuous time mode", "has not", "optional"),
+        ({66: b""}, "GetDirection", "has not", "optional"),
+        ({21: struct.pack("<3d", 0.0, 1013.0, 0.0)}, "values that air can have", "has not",
+         "mandatory"),
+    ],
+)  # fmt: skip
+def test_it_lists_its_abilities_and_changes_nothing(
+    bed: EmsconBed, lie: dict[int, bytes], feature: str, state: str, needed: str
+) -> None:
+    bodies = {
+        132: info(), 98: struct.pack("<i", 1), 66: struct.pack("<2d", 0, 1),
+        31: struct.pack("<4i", 500, 0, 0, 0), 21: struct.pack("<3d", 21.0, 1010.0, 40.0),
+    }  # fmt: skip
+    for command, body in (bodies | lie).items():
+        said = reply(command, body) if body else failure(command, 2)
+        bed.peer.answers[command] = partial(lambda said, _: [said], said)
+    inspects: Inspects = bed.make()
+    found = {each.feature: each for each in inspects.inspect()}
+    assert (found[feature].state, found[feature].needed) == (state, needed)
+    assert found[feature].device == "Tracker"
+    assert set(bed.peer.commands) <= READING
+
+
+def test_a_cell_file_for_another_tracker_or_reflector_is_named_among_the_abilities(
+    bed: EmsconBed,
+) -> None:
+    found = {each.feature: each for each in bed.make(serial="1", reflector="SMR 3in").inspect()}
+    assert found["serial number"].state == found["reflector 'SMR 3in'"].state == "has not"
+    assert "390793" in found["serial number"].note
+
+
+def test_a_tracker_is_discovered_at_a_host_that_a_person_gave(bed: EmsconBed) -> None:
+    known = {"host": "127.0.0.1", "port": bed.peer.server.port}
+    discovers: type[Discovers] = LeicaEmsconTracker
+    (found,) = discovers.discover(known)
+    assert found.options == known | {"serial": "390793"}
+    assert found.identities[0].serial == "390793"
+    assert set(bed.peer.commands) <= READING
+    assert discovers.discover({}) == []  # no network is searched
+    bed.peer.answers[1] = lambda _: [b"HTTP/1.1 400 Bad Request"]
+    assert discovers.discover(known) == []
