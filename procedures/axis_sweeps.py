@@ -209,8 +209,12 @@ class AxisSweeps:
 
     @staticmethod
     def axes(cell: Cell) -> list[int]:
-        """Return the axes to sweep, 1 to 6: on a quick plan those that move the tool point most."""
-        return [axis for axis in cell.sweeps.axes if axis <= 3 or not cell.plan.quick]
+        """Return the axes to sweep, 1 to 6: on a quick plan those that move the tool point most.
+
+        Not axis 2 where its joint turns axis 3, too: a sweep moves one joint.
+        """
+        alone = [axis for axis in cell.sweeps.axes if axis != 2 or not cell.robot.arm().coupling]
+        return [axis for axis in alone if axis <= 3 or not cell.plan.quick]
 
 
 def left_out(cell: Cell) -> str:

@@ -225,7 +225,7 @@ def visits(cell: Cell, kind: str) -> list[Visit]:
     """
     vertices_mm = grid_of(cell).serpentine_mm()
     joints_rad = joints_for(cell, vertices_mm)
-    beyond_rad = joints_rad + np.radians(cell.robot.approach_deg)
+    beyond_rad = joints_rad + cell.robot.approach_rad
     free = (beyond_rad <= cell.robot.margin_limits_rad[1]).all(axis=1)
     count, ids = len(vertices_mm), vertex_ids(grid_of(cell))
     wanted = min(3 if cell.plan.quick else 12, count)

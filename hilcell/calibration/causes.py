@@ -42,7 +42,10 @@ class Pattern(NamedTuple):
 
 
 def zero_columns(arm: Arm, joints_rad: Array) -> Array:
-    """Motion of the reflector (N, 3, 6) in {B} by lost zeros at joints (N, 6), mm / rad."""
+    """Motion of the reflector (N, 3, 6) in {B} by lost zeros of the axes, mm / rad.
+
+    At joints (N, 6).
+    """
     offsets = slice(18, 24)  # of the links' parameters
     return np.asarray(parameter_jacobian(arm, joints_rad)[:, :3, offsets] * arm.sign)
 

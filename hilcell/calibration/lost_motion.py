@@ -121,11 +121,12 @@ class StraightPath:
 
 def straight_path(lost: LostMotion, arm: Arm, T_W_B: Array, straight_rad: Array) -> StraightPath:
     """Effect of straight paths by joints (N, K, 6) of an arm at ``T_W_B``, at their ends."""
-    end_rad = straight_rad[:, -1]
-    fall_rad = straight_rad.max(axis=1) - end_rad
-    turns_down = end_rad < straight_rad[:, -2]
+    angles_rad = arm.angles(straight_rad)
+    end_rad = angles_rad[:, -1]
+    fall_rad = angles_rad.max(axis=1) - end_rad
+    turns_down = end_rad < angles_rad[:, -2]
     share = np.where(turns_down, np.minimum(fall_rad / TAKE_UP_RAD, 1.0), 0.0)
-    J = T_W_B[:3, :3] @ zero_columns(arm, end_rad)
+    J = T_W_B[:3, :3] @ zero_columns(arm.by_angles, end_rad)
     lost_rad, u_rad = np.array(lost.lost_rad), np.array(lost.u_rad)
     shift_mm = -np.einsum("nij,nj->ni", J, share * lost_rad)
     partly = share * (1.0 - share) * np.abs(lost_rad)

@@ -607,6 +607,9 @@ class Cell(Frozen, frozen=True, kw_only=True):
             (values[table] if table else values).pop(key)
         if not self.robot.more_smr_mm:  # as in files without this key
             values["robot"].pop("more_smr_mm")
+        for joint in values["robot"]["joint"]:
+            if joint["coupled_to"] is None:
+                del joint["coupled_to"], joint["coupling"]
         if self.validation.max_tolerance_deg is None:
             values["validation"].pop("max_tolerance_deg")
         return hashlib.sha256(msgspec.json.encode(values, order="sorted")).hexdigest()

@@ -32,7 +32,12 @@ from hilcell.geometry.kinematics import Arm, Array
 
 
 class Joint(Frozen, frozen=True, kw_only=True):
-    """One DH row, ``Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha)``, with its software limits."""
+    """One DH row, ``Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha)``, with its software limits.
+
+    ``coupled_to = 2`` on axis 3: the controller counts the axis not from the link before it, so
+    that a motion of its joint 2 alone turns axis 3 by ``coupling`` (1 or -1) times as much; in the
+    row, q is then ``q3 + coupling q2``. Limits are of the controller's own values.
+    """
 
     a_mm: Length
     alpha_deg: Angle
@@ -42,10 +47,14 @@ class Joint(Frozen, frozen=True, kw_only=True):
     min_deg: Angle = -180.0
     max_deg: Angle = 180.0
     speed_deg_s: Speed = 100.0
+    coupled_to: int | None = None
+    coupling: Annotated[int, Meta(ge=-1, le=1)] = 1
 
     def __post_init__(self) -> None:
         if not self.sign:
             raise ValueError("sign must be 1 or -1")
+        if not self.coupling:
+            raise ValueError("coupling must be 1 or -1")
         refuse_descending(self, "min_deg", "max_deg")
 
 
@@ -79,6 +88,12 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
             raise ValueError(f"expected six joints, got {len(self.joint)}")
         refuse(
             [
+                f"joint[{n}].coupled_to: axis {n + 1} coupled to axis {joint.coupled_to}; only "
+                "axis 3 can be coupled, to axis 2"
+                for n, joint in enumerate(self.joint)
+                if joint.coupled_to is not None and (n, joint.coupled_to) != (2, 2)
+            ]
+            + [
                 f"{key}: A{n} at {deg} deg is outside its limits "
                 f"{joint.min_deg} .. {joint.max_deg} deg"
                 for key in ("home_deg", "safe_deg")
@@ -132,11 +147,19 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
         return NominalRobot(self.arm(), self.status, self.margin_limits_rad, home_rad)
 
     @cached_property
+    def approach_rad(self) -> Array:
+        """Return the change of the joints (6,) that turns every axis by ``approach_deg``."""
+        return self.arm().joints(np.full(6, np.radians(self.approach_deg)))
+
+    @cached_property
     def margin_limits_rad(self) -> Array:
         """Return the limits (2, 6), lower and upper, less the margin; poses come from below."""
         margin_deg = self.joint_margin_deg
         low_deg = [joint.min_deg + max(margin_deg, self.approach_deg) for joint in self.joint]
         limits = np.radians([low_deg, [joint.max_deg - margin_deg for joint in self.joint]])
+        if self.joint[2].coupled_to is not None:
+            lower_rad = np.radians(self.joint[2].min_deg) + self.approach_rad[2]
+            limits[0, 2] = max(limits[0, 2], lower_rad)
         limits.flags.writeable = False
         return limits
 
@@ -150,6 +173,7 @@ def arm_from_joints(joints: list[Joint], tool: Array) -> Arm:
         offset_rad=np.radians([j.offset_deg for j in joints]),
         sign=np.array([float(j.sign) for j in joints]),
         tool=tool,
+        coupling=0.0 if joints[2].coupled_to is None else float(joints[2].coupling),
     )
 
 

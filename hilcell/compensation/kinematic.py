@@ -42,7 +42,7 @@ from hilcell.model.verdicts import CurvesUsed
 MOST_MM, MOST_RAD = 1e5, 1e3  # beyond is no robot's length or angle
 
 
-class RobotEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class RobotEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """The nominal robot: rows of six, the tool point's frame (4, 4), posture and limits (2, 6)."""
 
     a_mm: list[float]
@@ -54,6 +54,7 @@ class RobotEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     status: int
     limits_rad: list[list[float]]
     reference_rad: list[float]
+    coupling: float = 0.0
 
     def nominal(self) -> NominalRobot:
         names = ("a_mm", "alpha_rad", "d_mm", "offset_rad", "sign")
@@ -62,10 +63,12 @@ class RobotEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         }
         if not (np.abs(rows["sign"]) == 1.0).all():
             raise ModelError("robot.sign: expected 1 or -1")
+        if self.coupling not in (-1.0, 0.0, 1.0):
+            raise ModelError(f"robot.coupling {self.coupling}, expected 0, 1 or -1")
         if self.status not in range(8):
             raise ModelError(f"robot.status {self.status}, expected 0 .. 7")
         return NominalRobot(
-            Arm(**rows, tool=_frame("robot.tool", self.tool)),
+            Arm(**rows, tool=_frame("robot.tool", self.tool), coupling=self.coupling),
             self.status,
             _numbers("robot.limits_rad", self.limits_rad, (2, 6), MOST_RAD),
             _numbers("robot.reference_rad", self.reference_rad, (6,), MOST_RAD),
@@ -185,7 +188,7 @@ class Kinematic(LearntModel):
             RobotEntry(
                 arm.a_mm.tolist(), arm.alpha_rad.tolist(), arm.d_mm.tolist(),
                 arm.offset_rad.tolist(), arm.sign.tolist(), arm.tool.tolist(), robot.status,
-                robot.limits_rad.tolist(), robot.reference_rad.tolist(),
+                robot.limits_rad.tolist(), robot.reference_rad.tolist(), arm.coupling,
             ),
             self.kinematics.gravity,
             self.kinematics.waves,

@@ -239,8 +239,9 @@ class Body:
 
     def travel_mm(self, start: Array, end: Array) -> Array:
         """Largest travel (N, C) in {W} of any point of a capsule's segment."""
-        way = np.abs(end - start)
-        return way[:, :1] + way[:, 1:] @ self._levers_mm.T
+        way = end - start
+        turns = np.abs(self.arm.angles(way[:, 1:]))
+        return np.abs(way[:, :1]) + turns @ self._levers_mm.T
 
     @cached_property
     def _boxes(self) -> tuple[Boxes, Array]:

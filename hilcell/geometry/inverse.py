@@ -41,13 +41,13 @@ def solved(arm: Arm, poses: Array, status: int) -> tuple[Array, Array]:
     if status not in range(8):
         raise ReachError(f"status {status}: expected 0 .. 7")
     theta, excess_mm = family.solve(arm, poses @ inverse(arm.tool), status)
-    return wrapped(arm.sign * (theta - arm.offset_rad)), excess_mm
+    return wrapped(arm.joints(arm.sign * (theta - arm.offset_rad))), excess_mm
 
 
 def status_of(arm: Arm, joints_rad: Array) -> Ints:
     """Return the status bits (...) of joints (..., 6); raises `ReachError` as `solved`."""
     family = _family(arm)
-    theta = arm.sign * joints_rad + arm.offset_rad
+    theta = arm.theta(joints_rad)
     behind = family.ahead_mm(arm, joints_rad) < 0
     beyond = arm.sign[2] * wrapped(theta[..., 2] + family.bend_rad(arm)) >= 0
     flipped = joints_rad[..., 4] < 0
@@ -164,7 +164,7 @@ class _SphericalWrist(_Family):
 
     def ahead_mm(self, arm: Arm, joints_rad: Array) -> Array:
         """Return how far the wrist centre lies before axis 1, (...)."""
-        theta = arm.sign * joints_rad + arm.offset_rad
+        theta = arm.theta(joints_rad)
         forearm_mm, bend_rad = self.forearm(arm)
         elbow = theta[..., 1] + theta[..., 2] + bend_rad
         return np.asarray(
@@ -322,6 +322,7 @@ def joint_jacobian(arm: Arm, joints_rad: ArrayLike) -> Array:
         axis = arm.sign[row] * frame[..., :3, 2]
         columns.append(np.concatenate([np.cross(axis, tip - frame[..., :3, 3]), axis], axis=-1))
         frame = frame @ links[..., row, :, :]
+    columns[1] = columns[1] + arm.coupling * columns[2]
     return np.stack(columns, axis=-1)
 
 

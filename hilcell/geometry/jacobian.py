@@ -85,7 +85,7 @@ def moved(arm: Arm, column: int, step: float) -> Arm:
     kind, row = divmod(column, 6)
     values: Array = getattr(arm, KINDS[kind]).copy()
     values[row] += step
-    return replace(arm, **{KINDS[kind]: values})
+    return replace(arm, coupling=arm.coupling, **{KINDS[kind]: values})
 
 
 def _carrier(U: Array) -> Array:

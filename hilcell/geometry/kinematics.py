@@ -3,15 +3,20 @@
 Standard form (eq 2): ``A_i = Rot(z, theta_i) Trans(0, 0, d_i) Trans(a_i, 0, 0) Rot(x, alpha_i)``,
 ``theta_i = sign_i q_i + offset_i``, with Hayati's ``Rot(y, beta_i)`` appended, because plain DH is
 singular for parallel neighbours (axes 2 and 3). Lengths mm, angles rad.
+
+Some controllers count axis 3 from the horizontal or from link 1, not from link 2: a motion of their
+joint 2 alone turns axis 3 as well. `Arm.angles` and `Arm.joints` alone convert between joints as
+the controller counts them and angles of the axes, ``q_3 + coupling q_2`` on axis 3. All errors of
+an arm (zeros, waves, lost motion, scatter) are errors of single axes, hence of its angles.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -20,7 +25,11 @@ Ints = NDArray[np.int_]
 
 @dataclass(frozen=True)
 class Arm:
-    """Link parameters of six rows, each (6,), and the tool point's frame (4, 4) on the flange."""
+    """Link parameters of six rows, each (6,), and the tool point's frame (4, 4) on the flange.
+
+    ``coupling``: turns of axis 3 by one turn of the controller's joint 2 alone; 0, 1 or -1, so that
+    whole turns of a joint leave the pose as it is.
+    """
 
     a_mm: Array
     alpha_rad: Array
@@ -29,6 +38,32 @@ class Arm:
     sign: Array
     tool: Array
     beta_rad: Array = field(default_factory=lambda: np.zeros(6))
+    coupling: float = 0.0
+
+    def angles(self, joints_rad: ArrayLike) -> Array:
+        """Return the angles of the axes (..., 6) at joints as the controller counts them."""
+        return self._coupled(np.asarray(joints_rad, dtype=float), self.coupling)
+
+    def joints(self, angles_rad: ArrayLike) -> Array:
+        """Return the joints (..., 6) as the controller counts them: the inverse of `angles`."""
+        return self._coupled(np.asarray(angles_rad, dtype=float), -self.coupling)
+
+    def theta(self, joints_rad: ArrayLike) -> Array:
+        """Return theta (..., 6) of eq 2."""
+        return np.asarray(self.sign * self.angles(joints_rad) + self.offset_rad)
+
+    @cached_property
+    def by_angles(self) -> Arm:
+        """The same arm with joints that are the `angles` of its axes."""
+        return replace(self, coupling=0.0) if self.coupling else self
+
+    @staticmethod
+    def _coupled(values_rad: Array, coupling: float) -> Array:
+        if not coupling:
+            return values_rad
+        turned = values_rad.copy()
+        turned[..., 2] += coupling * values_rad[..., 1]
+        return turned
 
     @cached_property
     def link_parts(self) -> tuple[Array, Array, Array]:
@@ -58,7 +93,7 @@ def rotation_y(angle_rad: Array) -> Array:
 
 def link_transforms(arm: Arm, joints_rad: Array) -> Array:
     """Return A_1..A_6 of eq 2, (..., 6, 4, 4), for ``joints_rad`` (..., 6)."""
-    theta = (arm.sign * joints_rad + arm.offset_rad)[..., None, None]
+    theta = arm.theta(joints_rad)[..., None, None]
     fixed, cosine, sine = arm.link_parts
     return fixed + np.cos(theta) * cosine + np.sin(theta) * sine
 

@@ -8,7 +8,7 @@ time-stamps its joints is related to the cell's clock as the tracker is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -150,8 +150,9 @@ class Motion:
 
 
 def axis_motion(stream: SweepStream, arm: Arm, axis: int) -> Motion:
-    """Return the motion of ``axis`` (0 to 5); raises `BadStream`."""
+    """Return the motion of ``axis`` (0 to 5) by its own angle; raises `BadStream`."""
     stream.check_numbers()
+    stream, arm = replace(stream, joints_rad=arm.angles(stream.joints_rad)), arm.by_angles
     angle_rad = stream.turned_rad(arm, axis)
     inner = _between_ends(angle_rad)
     time_s, angle_rad = (stream.device_s - stream.device_s[0])[inner], angle_rad[inner]

@@ -82,8 +82,8 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """Positions (M, K, 3), their derivatives by all parameters (M, K, 3, P), by joints
-    (M, K, 3, 6).
+    """Positions (M, K, 3), their derivatives by all parameters (M, K, 3, P), by the angles of the
+    axes (M, K, 3, 6).
     """
 
     positions_mm: Array
@@ -207,10 +207,10 @@ class Kinematics:
     def arm_of(self, state: State) -> Arm:
         by_kind = state.values[:LINKS].reshape(len(KINDS), 6)
         changed = {kind: getattr(self.arm, kind) + by_kind[n] for n, kind in enumerate(KINDS)}
-        return replace(self.arm, tool=np.eye(4), **changed)
+        return replace(self.arm, tool=np.eye(4), coupling=0.0, **changed)
 
     def joints_of(self, state: State, joints_rad: Array) -> Array:
-        """True joint angles (M, 6) at commanded ones (M, 6)."""
+        """True angles of the axes (M, 6), those of `arm_of`, at commanded joints (M, 6)."""
         return self._bent(state, joints_rad)[0]
 
     def positions_mm(self, state: State, joints_rad: Array) -> Array:
@@ -248,10 +248,10 @@ class Kinematics:
         return axes
 
     def _bent(self, state: State, joints_rad: Array) -> tuple[Array, Array]:
-        """True joints (M, 6), and the rotation of its joint by each parameter behind the links (M,
-        V - 30).
+        """True angles of the axes (M, 6), and the rotation by each parameter behind the links, of
+        its joint (M, V - 30).
         """
-        joints = np.asarray(joints_rad, dtype=float)
+        joints = self.arm.angles(joints_rad)
         blocks = [_steady(self, joints.tobytes())]
         values, linear = state.values[LINKS:], np.ones(len(self._axes))
         end = blocks[0].shape[1]
@@ -277,17 +277,17 @@ class Kinematics:
 
 @lru_cache(maxsize=2)
 def _steady(kinematics: Kinematics, joints: bytes) -> Array:
-    """Basis at commanded joints (M, 6) as far as independent of the state, cached for all steps."""
-    at = np.frombuffer(joints).reshape(-1, 6)
+    """Basis at angles (M, 6) as far as independent of the state, cached for all steps."""
+    at, arm = np.frombuffer(joints).reshape(-1, 6), kinematics.arm.by_angles
     blocks = [np.zeros((len(at), 0))]
     if kinematics.gravity:
-        blocks.append(gravity_basis(kinematics.arm, at))
+        blocks.append(gravity_basis(arm, at))
     if kinematics.waves:
         angles = at[..., None] * np.array(ORDERS)  # cos q, sin q, cos 2q, sin 2q of each joint
         pairs = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         blocks.append(pairs.reshape(len(at), -1))
     if kinematics.tool:
-        blocks.append(tool_basis(kinematics.arm, at))
+        blocks.append(tool_basis(arm, at))
     return np.concatenate(blocks, axis=1)
 
 

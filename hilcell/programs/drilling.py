@@ -114,7 +114,7 @@ def station_program(
     robot = drilling.cell.robot
     straight_rad = drilling.straight_rad(names, command)
     off_rad, at_rad = straight_rad[:, 0], straight_rad[:, -1]
-    below_rad = off_rad - np.radians(robot.approach_deg)
+    below_rad = off_rad - robot.approach_rad
     clearance = Clearance(
         drilling.cell, drilling.cell.station_named(station), drilling.arm, drilling.T_W_B, part,
         NEAR_SHARE * drilling.standoff_mm,

@@ -140,7 +140,7 @@ def _legs(cell: Cell, joints_rad: Array) -> list[tuple[Array, Array]]:
 
 def below(cell: Cell, joints_rad: Array) -> Array:
     """Return the joints from which every axis approaches joints (..., 6)."""
-    beside: Array = joints_rad - np.radians(cell.robot.approach_deg)
+    beside: Array = joints_rad - cell.robot.approach_rad
     return beside
 
 
@@ -162,7 +162,7 @@ def waypoints(
 
     The safe pose comes first where only that path is clear. Raises `Blocked` where none is.
     """
-    side_rad = np.radians(cell.robot.approach_deg)
+    side_rad = cell.robot.approach_rad
     beside_rad = to_rad + (side_rad if above else -side_rad)
     safe_rad = np.radians(cell.robot.safe_deg)
     surroundings = cell.surroundings
