@@ -14,7 +14,8 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from typing import Protocol
+from dataclasses import dataclass
+from typing import Literal, Protocol
 
 from drivers.device_errors import ROBOT
 from drivers.kuka import krl
@@ -73,11 +74,21 @@ class ControllerLink:
         self._link.close()
 
 
+@dataclass(frozen=True, slots=True)
+class Need:
+    """A variable that the driver uses; ``otherwise`` says what follows where there is none."""
+
+    variable: str
+    otherwise: str = ""
+    needed: Literal["mandatory", "optional"] = "mandatory"
+
+
 class Controller(Protocol):
     """The open wires to one controller: its variables by their names, motions, and the stop."""
 
     address: str
     versions: dict[str, int]  # what must be installed: the number of each
+    needs: Sequence[Need]
     _line: ControllerLink
     _stop_line: ControllerLink
     _keeper: KeepAlive
@@ -106,6 +117,15 @@ class Controller(Protocol):
 
     def text(self, name: str) -> str:
         """Return a text, cleaned."""
+
+    def found(self, name: str) -> str | None:
+        """Return what the controller has under a variable's name, cleaned; None for nothing."""
+
+    def limits(self, names: tuple[str, ...]) -> list[tuple[float, float]] | None:
+        """Return the software limits of axes, deg or mm; None where they cannot be read."""
+
+    def tool(self, number: int) -> list[float] | None:
+        """Return X, Y, Z, A, B, C of a tool; None where it cannot be read."""
 
     def start(self, number: int, target_deg: Array, speed_percent: int) -> None:
         """Hand a motion to joints (6,) over; a held slide's place (mm) may follow (7,)."""
@@ -221,6 +241,24 @@ HEALTH: dict[str, tuple[tuple[str | bool, ...], str]] = {
     "$STOPMESS": ((False,), "HC-B14"),
     "$PRO_STATE1": (("#P_ACTIVE",), "HC-B15"),
 }
+
+
+NEEDS = (
+    *(Need(name) for name in ("$TRAFONAME[]", "$KR_SERIALNO", *HEALTH, "$OV_PRO")),
+    *(
+        Need(name, "has no value before hilcell.src was started")
+        for name in ("$ACT_TOOL", "$ACT_BASE", "$TOOL", "$BASE", "$POS_ACT")
+    ),
+    *(
+        Need(name, "hilcell.src and hilcell.dat are not installed, or the server does not see them")
+        for name in (
+            "HC_VER", "HC_SEQ", "HC_ACK", "HC_ERR", "HC_STOP", "HC_OV_OLD", "HC_HELD",
+        )
+    ),
+    Need("$AXIS_ACT_MEAS", "the ordered joints, $AXIS_ACT, replace it", "optional"),
+    Need("$EX_AX_NUM", "no external axis", "optional"),
+    Need("$AXIS_JUS[7]", "E1 counts as mastered", "optional"),
+)  # fmt: skip
 
 
 def refused_motion(error: int) -> DeviceError:

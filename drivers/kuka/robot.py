@@ -14,15 +14,15 @@ both, and the program's timer brakes both when the PC dies.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, suppress
 from itertools import cycle
 from typing import Annotated, Self
 
 import msgspec
 import numpy as np
 from msgspec import Meta
-from msgspec.structs import replace
+from msgspec.structs import fields, replace
 
 from drivers.device_errors import RAIL, ROBOT
 from drivers.kuka.controller import (
@@ -32,6 +32,7 @@ from drivers.kuka.controller import (
     PROGRESS,
     STOPPED,
     Controller,
+    Need,
     frame_text,
     refused_motion,
 )
@@ -49,16 +50,19 @@ from drivers.supervision import (
     state_error,
 )
 from hilcell.cell.file import Joint
-from hilcell.geometry.frames import from_zyx
+from hilcell.geometry.frames import from_zyx, matrix
 from hilcell.ports import (
+    Ability,
     Array,
     AxisReading,
+    Candidate,
     Clock,
     DeviceError,
     HilcellError,
     Identity,
     JointSample,
     RobotReading,
+    RobotSettings,
     Stopped,
     is_simulated_name,
 )
@@ -85,9 +89,47 @@ class KukaOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     base: Annotated[int, Meta(ge=0, le=32)] = 0
 
 
-class KukaRobot:
-    """Satisfies `hilcell.ports.Robot`, `hilcell.ports.Sweeps` and `hilcell.ports.ExternalAxis`."""
+def frame_matrix(values: Sequence[float]) -> Array:
+    """Return the matrix (4, 4), mm, of X, Y, Z and KUKA's Z-Y-X angles A, B, C in deg (6,)."""
+    return matrix(from_zyx(values[3:]), np.array(values[:3]))
 
+
+def candidates(
+    known: Mapping[str, object],
+    interface: str,
+    options: type[KukaOptions],
+    ask: Callable[[str, int], tuple[str, str]],
+) -> list[Candidate]:
+    """Return the controller at ``known["host"]``; ``ask`` reads its model and serial number."""
+    host = known.get("host")
+    if not isinstance(host, str):
+        return []
+    (usual,) = (each.default for each in fields(options) if each.name == "port")
+    port = msgspec.convert(known.get("port", usual), int)
+    address = f"{host}:{port}"
+    found: dict[str, object] = {"host": host, "port": port}
+    try:
+        model, serial = ask(host, port)
+    except DeviceError as error:
+        if error.code == ROBOT.unreachable:
+            return []
+        return [Candidate(f"{interface} at {address} does not answer: {error.found}", found, [])]
+    identity = Identity(
+        ROBOT.name, model, serial, address, is_simulated_name(model), "robot", "KUKA"
+    )
+    number = {"serial": int(serial)} if serial.isdecimal() else {}
+    title = f"KUKA {model}, serial number {serial}, by {interface} at {address}"
+    return [Candidate(title, {**found, "model": model, **number}, [identity])]
+
+
+class KukaRobot:
+    """Satisfies `hilcell.ports.Robot`, `hilcell.ports.Sweeps` and `hilcell.ports.ExternalAxis`.
+
+    For commissioning also `hilcell.ports.Inspects`, `hilcell.ports.Discovers` and
+    `hilcell.ports.StatesSettings`.
+    """
+
+    DRIVER = ""  # name of the entry point
     AXIS_TOLERANCE_DEG = 0.005
     STILL = np.array([STILL_DEG] * 6 + [STILL_MM])  # with a slide
     ARRIVED = np.array([AXIS_TOLERANCE_DEG] * 6 + [0.02])
@@ -136,10 +178,11 @@ class KukaRobot:
         with on_failure(self._close_wires):
             controller = self._controller = self._wires(self)
             self._round = cycle(controller.poll_groups)
-            self._good |= {name: ((n,), "HC-B17") for name, n in controller.versions.items()}
             controller.refresh()
             identity = self._identify()
-            self.check(*controller.versions, *HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")
+            for name, version in controller.versions.items():
+                self._check_version(name, version)
+            self.check(*HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")
             self._check_frame("$TOOL", (*self._options.smr_mm, 0.0, 0.0, 0.0))
             self._check_frame("$BASE", (0.0,) * 6)
             self._reset_stop()
@@ -207,6 +250,43 @@ class KukaRobot:
                 self.hold_axis()
         finally:
             self._close_wires()
+
+    # -- commissioning ------------------------------------------------------------------------
+
+    def inspect(self) -> list[Ability]:
+        with closing(self._wires(self)) as controller:
+            return [self._ability(controller, need) for need in controller.needs]
+
+    @staticmethod
+    def _ability(controller: Controller, need: Need) -> Ability:
+        found, name = controller.found(need.variable), need.variable
+        if found is None:
+            return Ability(ROBOT.name, name, "has not", need.needed, need.otherwise)
+        expected = str(controller.versions.get(name, found))
+        if found != expected:
+            note = f"version {found}, expected {expected}; see `hilcell files`"
+            return Ability(ROBOT.name, name, "has not", need.needed, note)
+        return Ability(ROBOT.name, name, "has", need.needed, found)
+
+    def settings(self) -> RobotSettings:
+        if self._controller is not None:
+            return self._settings(self._controller)
+        with closing(self._wires(self)) as controller:
+            return self._settings(controller)
+
+    def _settings(self, controller: Controller) -> RobotSettings:
+        controller.refresh()
+        model, serial = controller.text("$TRAFONAME[]"), controller.integer("$KR_SERIALNO")
+        tool = controller.tool(self._options.tool)
+        names = (*JOINTS, SLIDE) if controller.has_slide() else JOINTS
+        limits = controller.limits(names)
+        return RobotSettings(
+            model,
+            str(serial),
+            None if limits is None else np.radians(limits[:6]),
+            None if tool is None else frame_matrix(tool),
+            None if limits is None or len(limits) == len(JOINTS) else limits[6],
+        )
 
     # -- external axis E1 ---------------------------------------------------------------------
 
@@ -291,6 +371,19 @@ class KukaRobot:
             ROBOT.name, model, str(serial), self.wire().address, simulated, "robot", "KUKA"
         )
 
+    def _check_version(self, name: str, expected: int) -> None:
+        found, driver = self.wire().integer(name), self.DRIVER
+        if found != expected:
+            raise ROBOT.refused(
+                "HC-B17",
+                "connect",
+                f"the controller has version {found} ({name})",
+                expected=f"version {expected}",
+                act=f"`hilcell files {driver} -o FOLDER` writes it: copy it and start it again",
+                found_version=found,
+                wanted_version=expected,
+            )
+
     def check(self, *names: str) -> None:
         """Refuse to work with a wrong state; report the first cause, not its consequence."""
         for name in names:
@@ -316,11 +409,14 @@ class KukaRobot:
         if not all(
             abs(f - w) <= self.FRAME_TOLERANCE for f, w in zip(found, expected, strict=True)
         ):
+            tool = name == "$TOOL"
+            own = f"tool {self._options.tool}" if tool else f"base {self._options.base}"
+            source = "robot.smr_mm of the cell file, " if tool else ""
             raise ROBOT.refused(
                 "HC-B06",
                 "connect",
-                f"{name} is {frame_text(found)}",
-                expected=frame_text(expected),
+                f"the controller's {own} ({name}) is {frame_text(found)}",
+                expected=f"{source}{frame_text(expected)}",
                 variable=name,
                 found_frame=found,
                 wanted_frame=expected,
@@ -471,12 +567,8 @@ class KukaRobot:
         return target_deg if self.slide_mm is None else np.append(target_deg, self.slide_mm)
 
     def _pose(self) -> Array:
-        """Return {T} in {B} (4, 4), mm, from X, Y, Z and KUKA's Z-Y-X angles A, B, C."""
-        values = self.wire().numbers("$POS_ACT", POSE)
-        pose = np.eye(4)
-        pose[:3, :3] = from_zyx(values[3:])
-        pose[:3, 3] = values[:3]
-        return pose
+        """Return {T} in {B} (4, 4), mm."""
+        return frame_matrix(self.wire().numbers("$POS_ACT", POSE))
 
     def _close_wires(self) -> None:
         controller, self._controller = self._controller, None

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import struct
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass
@@ -21,18 +21,20 @@ from functools import cached_property, partial
 from drivers.device_errors import ROBOT, ProtocolError
 from drivers.kuka import krl
 from drivers.kuka.controller import (
+    NEEDS,
     PROGRAM_VERSION,
     PROGRESS,
     Controller,
     ControllerLink,
     KeepAlive,
+    Need,
     value_error,
     value_errors,
 )
-from drivers.kuka.krl import JOINTS, SLIDE
-from drivers.kuka.robot import KukaOptions, KukaRobot
+from drivers.kuka.krl import JOINTS, POSE, SLIDE
+from drivers.kuka.robot import KukaOptions, KukaRobot, candidates
 from drivers.supervision import HEARTBEAT_TIMEOUT_S, Deadline, ignore_stop, on_failure
-from hilcell.ports import Array, Clock
+from hilcell.ports import Array, Candidate, Clock
 from hilcell.sanitize import clean
 from hilcell.wire.channel import Port
 
@@ -80,6 +82,11 @@ def decode_body(tag: int, body: bytes) -> Reply:
     return Reply(tag, kind, body[3 : 3 + size].decode("latin-1"), error, body[-1] == 1)
 
 
+def char_array(value: str) -> str:
+    """Return the text of a CHAR array; some servers leave the quotes out, or pad it."""
+    return clean(value.strip("\0 \t\r\n").strip('"').strip())
+
+
 class C3Connection(ControllerLink):
     """One connection; a request has a tag."""
 
@@ -91,6 +98,11 @@ class C3Connection(ControllerLink):
 
     def has(self, name: str) -> bool:
         return self._reply("read", name).ok
+
+    def found(self, name: str) -> str | None:
+        """Return a variable's text, cleaned; None where the server refuses it."""
+        reply = self._reply("read", name)
+        return char_array(reply.value) if reply.ok else None
 
     def write(self, name: str, value: str) -> None:
         """Write a variable and wait for the acknowledgement; raises `DeviceError`."""
@@ -178,6 +190,10 @@ class C3Controller(Controller):
         self._open = partial(C3Connection, options.host, options.port)
         self.address = f"{options.host}:{options.port}"
         self.versions = {"HC_VER": PROGRAM_VERSION}
+        more = ("$AXIS_ACT", "$TIMER[10]", "HC_TGT", "HC_VEL", "HC_CMD", "HC_LIFE", "HC_OV_SET")
+        limits = Need("$SOFTN_END[1]", "the cell file's joint limits are not compared", "optional")
+        tool = Need(f"TOOL_DATA[{options.tool}]", "$TOOL replaces it", "optional")
+        self.needs = (*NEEDS, *map(Need, more), limits, tool)
         self._line: C3Connection = self._open(robot.check_wait)
         with on_failure(self._line.close):
             # The stop must get through while the run is already stopping.
@@ -204,8 +220,26 @@ class C3Controller(Controller):
             return krl.numbers(self._line.read(name), components)
 
     def text(self, name: str) -> str:
-        """Return a CHAR array; some servers leave the quotes out, or pad it."""
-        return clean(self._line.read(name).strip("\0 \t\r\n").strip('"').strip())
+        return char_array(self._line.read(name))
+
+    def found(self, name: str) -> str | None:
+        return self._line.found(name)
+
+    def limits(self, names: tuple[str, ...]) -> list[tuple[float, float]] | None:
+        rows = []
+        for axis, name in enumerate((*JOINTS, SLIDE), start=1):
+            if name in names:
+                low, high = (f"${end}_END[{axis}]" for end in ("SOFTN", "SOFTP"))
+                if not (self.has(low) and self.has(high)):
+                    return None
+                rows.append((self._place(low), self._place(high)))
+        return rows
+
+    def tool(self, number: int) -> list[float] | None:
+        for name in (f"TOOL_DATA[{number}]", "$TOOL"):
+            if self.has(name):
+                return self.numbers(name, POSE)
+        return None
 
     def start(self, number: int, target_deg: Array, speed_percent: int) -> None:
         self._start(number, target_deg.tolist(), self.PTP_JOINTS, speed_percent)
@@ -236,10 +270,13 @@ class C3Controller(Controller):
 
     def slide(self) -> tuple[float, bool]:
         """Read the place of E1, which is less to send than all axes, and whether it is held."""
-        place_mm = self.value(self.PLACE)
-        if isinstance(place_mm, bool | str) or not abs(place_mm) <= krl.LARGEST:
-            raise value_error(self.PLACE, f"{place_mm!r} is no place")
-        return float(place_mm), self.value("HC_HELD") is True
+        return self._place(self.PLACE), self.value("HC_HELD") is True
+
+    def _place(self, name: str) -> float:
+        place = self.value(name)
+        if isinstance(place, bool | str) or not abs(place) <= krl.LARGEST:
+            raise value_error(name, f"{place!r} is no place")
+        return float(place)
 
     def brake(self) -> None:
         self._line.write("HC_STOP", "TRUE")
@@ -278,6 +315,8 @@ class C3Controller(Controller):
 class KukaC3Robot(KukaRobot):
     """Satisfies `hilcell.ports.Robot`, `hilcell.ports.Sweeps` and `hilcell.ports.ExternalAxis`."""
 
+    DRIVER = "kuka-c3"
+
     class Options(KukaOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """Address and expected identity of the controller."""
 
@@ -285,3 +324,17 @@ class KukaC3Robot(KukaRobot):
 
     def __init__(self, options: Options, clock: Clock) -> None:
         super().__init__(options, clock, partial(C3Controller, options))
+
+    @classmethod
+    def discover(cls, known: Mapping[str, object]) -> list[Candidate]:
+        """Return the controller whose variable server answers at the host, if one is given."""
+
+        def ask(host: str, port: int) -> tuple[str, str]:
+            line = C3Connection(host, port, ignore_stop)
+            try:
+                model, serial = char_array(line.read("$TRAFONAME[]")), line.read("$KR_SERIALNO")
+            finally:
+                line.close()
+            return model, clean(serial.strip())
+
+        return candidates(known, "C3 Bridge or KUKAVARPROXY", cls.Options, ask)

@@ -34,18 +34,20 @@ from drivers.device_errors import ROBOT, ProtocolError
 from drivers.kuka import krl
 from drivers.kuka.controller import (
     HEALTH,
+    NEEDS,
     PROGRAM_VERSION,
     PROGRESS,
     Controller,
     ControllerLink,
     KeepAlive,
+    Need,
     value_errors,
 )
-from drivers.kuka.krl import JOINTS, SLIDE
-from drivers.kuka.robot import KukaOptions, KukaRobot
+from drivers.kuka.krl import JOINTS, POSE, SLIDE
+from drivers.kuka.robot import KukaOptions, KukaRobot, candidates
 from drivers.supervision import HEARTBEAT_TIMEOUT_S, Deadline, ignore_stop, on_failure
 from drivers.wires import POLL_S
-from hilcell.ports import Array, Clock, DeviceError
+from hilcell.ports import Array, Candidate, Clock, DeviceError
 from hilcell.sanitize import clean
 from hilcell.wire.channel import Port
 
@@ -82,6 +84,9 @@ SINGLE = {
 OPEN_S = 3.0  # then the channel of a client that has closed is open again
 
 
+FIRST = {"$AXIS_ACT_MEAS": "A1", "$SOFTN_END": "A1", "$SOFTP_END": "A1"}  # of a structure, not X
+
+
 class Kind(IntEnum):
     """Types of a command."""
 
@@ -94,6 +99,7 @@ class Kind(IntEnum):
     HOLD_SLIDE = 6
     FREE_SLIDE = 7
     MOVE_SLIDE = 8
+    LIMITS = 9
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +115,8 @@ class State:
         "$POS_ACT": "Pos",
         "$TOOL": "Tool",
         "$BASE": "Base",
+        "$SOFTN_END": "Low",
+        "$SOFTP_END": "High",
     }
 
     elements: Mapping[str, Mapping[str, str]]
@@ -281,7 +289,7 @@ def open_channel(
 class EkiController(Controller):
     """A refresh is an exchange of documents."""
 
-    DOCUMENTS_VERSION = 1
+    DOCUMENTS_VERSION = 2
     LARGEST_ID = 1_000_000_000
     LIFE_MS = round(1000 * HEARTBEAT_TIMEOUT_S)
 
@@ -292,6 +300,7 @@ class EkiController(Controller):
     def __init__(self, options: KukaEkiRobot.Options, robot: KukaRobot) -> None:
         self.address = f"{options.host}:{options.port}"
         self.versions = {"HC_VER": PROGRAM_VERSION, "HE_VER": self.DOCUMENTS_VERSION}
+        self.needs = (*NEEDS, Need("HE_VER", "hilcell_eki.src is another version's"))
         opened = partial(open_channel, options.host)
         # Answers to an earlier session must not pass for answers to this one.
         self._number = -1 - secrets.randbelow(self.LARGEST_ID)
@@ -325,6 +334,27 @@ class EkiController(Controller):
     def text(self, name: str) -> str:
         with value_errors(name):
             return clean(self._known().text(*SINGLE[name]).strip())
+
+    def found(self, name: str) -> str | None:
+        """Return an attribute, or the first one of a structure."""
+        element, attribute = SINGLE.get(name) or (State.STRUCTURES[name], FIRST.get(name, "X"))
+        try:
+            return clean(self._known().text(element, attribute).strip()) or None
+        except ProtocolError:
+            return None
+
+    def limits(self, names: tuple[str, ...]) -> list[tuple[float, float]] | None:
+        self._send(Kind.LIMITS)
+        if self.found("$SOFTN_END") is None:
+            return None
+        low, high = (self.numbers(name, names) for name in ("$SOFTN_END", "$SOFTP_END"))
+        return list(zip(low, high, strict=True))
+
+    def tool(self, number: int) -> list[float] | None:
+        """Return the active tool, if it has this number."""
+        if self.found("$TOOL") is None or self.found("$ACT_TOOL") != str(number):
+            return None
+        return self.numbers("$TOOL", POSE)
 
     def start(self, number: int, target_deg: Array, speed_percent: int) -> None:
         """Send a motion; the Id of its document is its number."""
@@ -394,6 +424,8 @@ class EkiController(Controller):
 class KukaEkiRobot(KukaRobot):
     """Satisfies `hilcell.ports.Robot`, `hilcell.ports.Sweeps` and `hilcell.ports.ExternalAxis`."""
 
+    DRIVER = "kuka-eki"
+
     class Options(KukaOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """Address and expected identity of the controller."""
 
@@ -406,3 +438,19 @@ class KukaEkiRobot(KukaRobot):
 
     def __init__(self, options: Options, clock: Clock) -> None:
         super().__init__(options, clock, partial(EkiController, options))
+
+    @classmethod
+    def discover(cls, known: Mapping[str, object]) -> list[Candidate]:
+        """Return the controller whose submit program answers at the host, if one is given."""
+
+        def ask(host: str, port: int) -> tuple[str, str]:
+            channel = EkiChannel(host, port, STATE, ignore_stop, command(0, Kind.ASK))
+            try:
+                state = channel.ask(0, command(0, Kind.ASK))
+            finally:
+                channel.close()
+            with value_errors("$TRAFONAME[]"):
+                model, serial = (state.text("Robot", name) for name in ("Model", "Serial"))
+            return clean(model.strip()), clean(serial.strip())
+
+        return candidates(known, "EthernetKRL", cls.Options, ask)

@@ -139,7 +139,7 @@ class EkiProgram:
         if values["Type"] in acts:
             acts[values["Type"]](values)
         wrong = int(self._faults.strikes("robot.tag_mismatch"))
-        state = self._state(int(values["Id"]) + wrong)
+        state = self._state(int(values["Id"]) + wrong, limits=values["Type"] == "9")
         document_s = 0.016  # from reading the variables of a state to sending it
         self._time.spend(document_s)
         return state
@@ -179,8 +179,13 @@ class EkiProgram:
                 self._controller.write("$OV_PRO", before)
             self._controller.write("HC_OV_OLD", "0")
 
-    def _state(self, number: int) -> bytes:
+    def _state(self, number: int, *, limits: bool) -> bytes:
         texts = dict(zip(self.NAMES, self._controller.read_all(self.NAMES), strict=True))
+        ends: dict[str, dict[str, str]] = {}
+        for element, end in (("Low", "SOFTN"), ("High", "SOFTP")) if limits else ():
+            names = [f"${end}_END[{axis}]" for axis in range(1, 8)]
+            found = self._controller.read_all(names)
+            ends[element] = dict(zip((*AXES, "E1"), found, strict=True))
 
         def named(names: dict[str, str]) -> dict[str, str]:
             return {attribute: texts[name] for attribute, name in names.items()}
@@ -201,10 +206,11 @@ class EkiProgram:
                     "Model": texts["$TRAFONAME[]"].strip('"'),
                     "Serial": texts["$KR_SERIALNO"],
                     "Program": texts["HC_VER"],
-                    "Documents": "1",
+                    "Documents": "2",
                 },
                 "Error": {"Code": texts["HC_ERR"]},
-            },
+            }
+            | ends,
         )
 
 

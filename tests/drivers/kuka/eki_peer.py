@@ -21,7 +21,7 @@ class EkiPeer(KukaPeer):
     """One client a channel; ``spoil`` changes the bytes of an answer to a command's Id."""
 
     def __init__(self, **changed: str) -> None:
-        super().__init__(HE_VER="1", **changed)
+        super().__init__(HE_VER="2", **changed)
         self.commands: list[dict[str, str]] = []
         self.spoil: Callable[[int, bytes], list[bytes]] = lambda _number, answer: [answer]
         self.stop_server = Server(self._serve_stops)
@@ -37,7 +37,7 @@ class EkiPeer(KukaPeer):
             with self._lock:
                 self.commands.append(values)
                 self._act(values)
-                answer = self._state(number)
+                answer = self._state(number, limits=values["Type"] == "9")
             for piece in self.spoil(number, answer):
                 connection.sendall(piece)
 
@@ -61,7 +61,17 @@ class EkiPeer(KukaPeer):
         for name, text in writes.items():
             self._write(name, text.encode())
 
-    def _state(self, number: int) -> bytes:
+    def _state(self, number: int, *, limits: bool) -> bytes:
+        ends = " ".join(
+            f"<{element} "
+            + " ".join(
+                f'{axis}="{self.variables.get(f"${end}_END[{n}]", "0.0")}"'
+                for n, axis in enumerate(("A1", "A2", "A3", "A4", "A5", "A6", "E1"), start=1)
+            )
+            + "/>"
+            for element, end in (("Low", "SOFTN"), ("High", "SOFTP"))
+            if limits
+        )
         acknowledged = self._read("HC_ACK")
         get = self.variables.__getitem__
         status = " ".join(f'{name}="{get(variable)}"' for name, variable in STATUS)
@@ -74,9 +84,9 @@ class EkiPeer(KukaPeer):
             f'<RobotState><Command Id="{number}" {motions} Stopped="{get("HC_STOP")}"/>'
             f'<Pos {axes} {pose}/><Status {status}/><Tool Number="{get("$ACT_TOOL")}" {tool}/>'
             f'<Base Number="{get("$ACT_BASE")}" {base}/>'
-            f'<Slide Count="0" Mastered="TRUE" Held="{get("HC_HELD")}"/>'
+            f'<Slide Count="{get("$EX_AX_NUM")}" Mastered="TRUE" Held="{get("HC_HELD")}"/>'
             f'<Override Old="{get("HC_OV_OLD")}"/>'
-            f'<Robot {robot} Documents="{get("HE_VER")}"/>'
+            f'<Robot {robot} Documents="{get("HE_VER")}"/>{ends}'
             f'<Error Code="{get("HC_ERR")}"/></RobotState>'
         ).encode()
 

@@ -143,6 +143,7 @@ def test_the_interface_is_configured_for_all_that_the_driver_reads() -> None:
     places = [*JOINTS, SLIDE, *POSE]
     read |= {"RobotState/Command/@Id"} | {f"RobotState/Pos/@{name}" for name in places}
     read |= {f"RobotState/{frame}/@{name}" for frame in ("Tool", "Base") for name in POSE}
+    read |= {f"RobotState/{end}/@{name}" for end in ("Low", "High") for name in (*JOINTS, SLIDE)}
     assert read == SENT["HilcellEki"] - {"RobotState/Pos/@S", "RobotState/Pos/@T"}
     assert SENT["HilcellStop"] == {"RobotStopState/Command/@Id"}
 
@@ -155,7 +156,7 @@ def test_the_submit_program_takes_and_sets_each_value_once() -> None:
         assert {tag for channel, tag in taken if channel == name} == expected
     put = set(re.findall(r'"(Robot\w+/[^"]+)"', EKI_SOURCE)) - {tag for _, tag in taken}
     assert put == set().union(*SENT.values()) - set().union(*TAKEN.values())
-    assert "HE_VER=1\n" in EKI_DATA
+    assert f"HE_VER={eki.EkiController.DOCUMENTS_VERSION}\n" in EKI_DATA
 
 
 def test_the_submit_program_uses_what_is_declared() -> None:
@@ -168,7 +169,7 @@ def test_the_submit_program_uses_what_is_declared() -> None:
 def test_a_command_gives_its_time_before_it_acts() -> None:
     hear = EKI_SOURCE.split("DEF HE_HEAR ( )")[1].split("\nEND\n")[0]
     types = [int(number) for number in re.findall(r"CASE (\d)", hear)]
-    assert types == [*range(eki.Kind.MOVE, eki.Kind.MOVE_SLIDE + 1)]
+    assert types == [*range(eki.Kind.MOVE, max(eki.Kind) + 1)]
     assert hear.index("$TIMER[10] = -HE_MS") < hear.index("SWITCH")
 
 

@@ -165,7 +165,7 @@ def test_the_pose_is_in_kukas_angles(robot: BedRobot) -> None:
     ("name", "value", "found"),
     [
         ("$TRAFONAME[]", '"#KR16"', "#KR16"),
-        ("HC_VER", "5", "HC_VER is 5"),
+        ("HC_VER", "5", "version 5 (HC_VER)"),
         ("$MODE_OP", "#T1", "#T1"),
         ("$PERI_RDY", "FALSE", ""),
         ("$ALARM_STOP", "FALSE", ""),

@@ -110,7 +110,7 @@ def test_a_wrong_state_refuses_to_connect_and_ends_a_motion(
 
 
 def test_a_program_with_other_documents_is_refused(bed: EkiBed) -> None:
-    bed.peer.variables["HE_VER"] = "2"
+    bed.peer.variables["HE_VER"] = "1"
     assert kind(refusal(bed.make().connect)) == (DeviceRefused, "HC-B17")
 
 
