@@ -15,9 +15,13 @@ from __future__ import annotations
 import math
 import re
 import time
+from collections.abc import Mapping
+from contextlib import closing
 from enum import IntEnum
 from functools import partial
 from itertools import count
+from pathlib import Path
+from threading import Event
 from typing import Annotated, NamedTuple
 
 import msgspec
@@ -29,6 +33,7 @@ from drivers.supervision import Deadline, on_failure
 from drivers.tracker_readings import (
     BUSY_PAUSE_S,
     Positive,
+    TrackerAbilities,
     changed,
     check_reflector,
     check_samples,
@@ -41,8 +46,18 @@ from drivers.tracker_readings import (
     repeats_std,
     retry_while_busy,
 )
-from drivers.wires import TextLines, open_link
-from hilcell.ports import Array, Clock, DeviceError, Identity, NoReading, TrackerReading
+from drivers.wires import Link, TextLines, open_link
+from hilcell.clock import WallClock
+from hilcell.ports import (
+    Ability,
+    Array,
+    Candidate,
+    Clock,
+    DeviceError,
+    Identity,
+    NoReading,
+    TrackerReading,
+)
 from hilcell.sanitize import clean
 from hilcell.wire.channel import SerialLine, parse_channel
 
@@ -78,6 +93,7 @@ class Rpc(IntEnum):
     GET_SERIAL = 5003
     GET_NAME = 5004
     GET_FIRMWARE = 5034
+    GET_CONFIGURATION = 5035
     STOP_MOTORS = 6002
     TURN_TO = 9027
     FINE_ADJUST = 9037
@@ -229,13 +245,15 @@ def position_mm(hz_rad: float, v_rad: float, distance_m: float) -> Array:
 
 
 class LeicaGeocomTracker:
-    """Satisfies `hilcell.ports.Tracker` and `hilcell.ports.Aims`."""
+    """Satisfies `hilcell.ports.Tracker`, and its `Aims`, `Inspects` and `Discovers`."""
 
     TRANSACTIONS = 2**15
+    SERIAL_LINES = Path("/dev/serial/by-id")
     ABORT = "c"  # ends a motion or measurement; answered by "?"
     CLEAR, DISTANCE = 3, 1  # programs of DO_MEASURE
     AUTOMATIC_TILT = 1  # of DO_MEASURE and GET_MEASUREMENT
     NOT_IMPLEMENTED, MOTORS_IDLE = 5, 1798
+    MOTORISED, TARGET_RECOGNITION = 0x04, 0x08  # bits of the configuration
     UNCORRECTED = (1283, 1284)  # not fully, or of no accuracy; with values
     NOWHERE_MM = np.full(3, np.nan)
     DISTANCE_MS = 5000  # that the instrument may take for a distance, besides `reading_s`
@@ -306,14 +324,77 @@ class LeicaGeocomTracker:
     # -- the port -----------------------------------------------------------------------------
 
     def connect(self) -> list[Identity]:
-        self.close()
-        link = open_link(TRACKER, self._options.channel, self._clock.check)
-        self._lines, self._given_up, self._settings = TextLines(link), set(), {}
+        link = self._open()
         with on_failure(self.close):
             self._begin()
-            identity = self._identify(link.address)
+            identity = self._identity(link.address)
+            check_serial(identity.serial, self._options.serial)
             self._set_up()
         return [identity]
+
+    def inspect(self) -> list[Ability]:
+        options, found = self._options, TrackerAbilities()
+        link = self._open()
+        with closing(self):
+            self._begin()
+            identity = self._identity(link.address)
+            right = options.serial in ("", identity.serial)
+            expected = "" if right else f"; the cell file has {options.serial}"
+            found.need("serial number", right, f"{identity.serial}{expected}")
+            found.need("GeoCOM", True, f"{identity.model}, firmware {identity.firmware}")
+            configuration = self._told(Rpc.GET_CONFIGURATION)
+            for feature, bit in (
+                ("motors", self.MOTORISED),
+                ("automatic target recognition", self.TARGET_RECOGNITION),
+            ):
+                if configuration is None:
+                    found.may(feature, False, "not reported; see the maker's data sheet")
+                else:
+                    found.need(feature, bool(int(configuration[1]) & bit), "")
+            for feature, read in (
+                ("compensator", Rpc.GET_TILT_SWITCH),
+                ("angle corrections", Rpc.GET_ANGLE_CORRECTIONS),
+                ("distance mode", Rpc.GET_EDM_MODE),
+                ("atmosphere", Rpc.GET_ATMOSPHERE),
+                ("target recognition switch", Rpc.GET_ATR),
+            ):
+                values = self._told(read)
+                note = "" if values is None else f"now {', '.join(f'{each:g}' for each in values)}"
+                add = found.may if read is Rpc.GET_ANGLE_CORRECTIONS else found.need
+                add(feature, values is not None, note)
+            prism = self._told(Rpc.GET_PRISM_CONSTANT)
+            prism_mm = math.nan if prism is None else MM_PER_M * prism[0]
+            stated = f"{prism_mm:.2f} mm, the cell file has {options.prism_constant_mm:.2f} mm"
+            found.need("prism constant", prism is not None, stated)
+        found.may("weather station", False, "the air of tracker.options is used")
+        found.may("second face", False, "errors of its axes are corrected by the instrument")
+        found.may("stream", False, "no axis sweeps: gear ripple remains")
+        return found.listed
+
+    @classmethod
+    def discover(cls, known: Mapping[str, object]) -> list[Candidate]:
+        """Return the instrument at a channel, or a host's port 1212, that a person gave.
+
+        Without one the serial lines are listed, by the names that they keep; nothing is sent.
+        """
+        channel = known.get("channel") or (known.get("host") and f"socket://{known['host']}:1212")
+        if not channel:
+            return [
+                Candidate(f"serial line {line.name}", {"channel": str(line)}, [])
+                for line in sorted(cls.SERIAL_LINES.glob("*"))
+            ]
+        anything = {"reflector": "", "max_std_mm": 1.0, "find_radius_mm": 1.0}
+        try:
+            options = msgspec.convert({"channel": channel, **anything}, cls.Options)
+            tracker = cls(options, WallClock(Event()))
+            link = tracker._open()
+            with closing(tracker):
+                tracker._begin()
+                identity = tracker._identity(link.address)
+        except (DeviceError, msgspec.ValidationError):
+            return []
+        found: dict[str, object] = {"channel": options.channel, "serial": identity.serial}
+        return [Candidate(f"{identity.text}, at {identity.address}", found, [identity])]
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         near_mm = checked_request(near_mm, samples)
@@ -351,6 +432,12 @@ class LeicaGeocomTracker:
 
     # -- connecting ---------------------------------------------------------------------------
 
+    def _open(self) -> Link:
+        self.close()
+        link = open_link(TRACKER, self._options.channel, self._clock.check)
+        self._lines, self._given_up, self._settings = TextLines(link), set(), {}
+        return link
+
     def _begin(self) -> None:
         """Get in step: an empty line ends half a request, and older answers are passed over."""
         self._wire().send("", "connect")
@@ -364,13 +451,12 @@ class LeicaGeocomTracker:
         came = f", but {count} bytes without an end" if (count := self._wire().unended) else ""
         raise self._lost(f"no answer in time{came}; is GeoCOM spoken {at}?", "connect")
 
-    def _identify(self, address: str) -> Identity:
+    def _identity(self, address: str) -> Identity:
         options = self._options
         (serial_value,) = self._numbers(Rpc.GET_SERIAL, 1)
         if not math.isfinite(serial_value):
             raise self._lost(f"serial number {serial_value}", "connect")
         serial = f"{serial_value:.0f}"
-        check_serial(serial, options.serial)
         name = clean(",".join(self._stated(Rpc.GET_NAME).values))
         if not name.strip():
             raise self._lost("it does not tell its name", "connect")
@@ -523,6 +609,16 @@ class LeicaGeocomTracker:
 
     def _numbers(self, rpc: Rpc, size: int) -> tuple[float, ...]:
         return self._decoded(self._stated(rpc), size)
+
+    def _told(self, rpc: Rpc) -> tuple[float, ...] | None:
+        """Return the numbers of a setting; None of an instrument that does not know it."""
+        try:
+            values = self._stated(rpc).values
+        except DeviceError as error:
+            if error.fields.get("status") not in (self.NOT_IMPLEMENTED, *REFUSED_UNREAD):
+                raise
+            return None
+        return self._decoded(Reply(0, 0, 0, values), len(values))
 
     def _stated(self, rpc: Rpc) -> Reply:
         """Ask for values until two answers in a row are the same; the line has no check sum."""

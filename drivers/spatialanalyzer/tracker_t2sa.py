@@ -16,9 +16,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import closing
 from functools import partial
 from pathlib import Path
+from threading import Event
 from typing import Annotated, NamedTuple
 
 import msgspec
@@ -30,6 +32,7 @@ from drivers.spatialanalyzer.t2sa_points import SEARCH_MM, NamedPoints, read_poi
 from drivers.supervision import Deadline, on_failure
 from drivers.tracker_readings import (
     Positive,
+    TrackerAbilities,
     check_reflector,
     checked_request,
     checked_search,
@@ -40,10 +43,14 @@ from drivers.tracker_readings import (
 )
 from drivers.wires import TcpLink, TextLines
 from hilcell.cell.settings import SettingsError
+from hilcell.clock import WallClock
 from hilcell.ports import (
+    Ability,
     Array,
+    Candidate,
     Clock,
     DeviceError,
+    DeviceRefused,
     Identity,
     NoReading,
     TrackerReading,
@@ -143,7 +150,7 @@ def other_forms(xyz_mm: Array, named_mm: Array) -> dict[str, Array]:
 
 
 class T2saTracker:
-    """Satisfies `hilcell.ports.Tracker` and `hilcell.ports.Searches`.
+    """Satisfies `hilcell.ports.Tracker`, and its `Searches`, `Inspects` and `Discovers`.
 
     A person cannot aim it: the bridge measures named points only.
     """
@@ -189,15 +196,71 @@ class T2saTracker:
 
     # -- the port -----------------------------------------------------------------------------
 
+    def inspect(self) -> list[Ability]:
+        found = TrackerAbilities()
+        try:
+            points = _read(self._options.points)
+        except DeviceRefused as refusal:
+            points = None
+            found.need("list of points", False, refusal.found)
+        link = self._open()
+        with closing(self):
+            state = self._exchange(self.STATUS)
+            found.need("bridge ready", state.is_ready, state.text or f"code {state.code}")
+            laser = self._exchange(self.LASER).text
+            note = laser if "LON" in laser else f"{laser}; connecting switches it on"
+            found.may("laser on and warm", "LON" in laser, note)
+            if points is not None:
+                found.need("list of points", True, f"{len(points.names)} points")
+                self._compare_listed(points, found)
+        found.may("serial number", False, f"not stated by the bridge at {link.address}; plate")
+        found.may("weather station", False, "SpatialAnalyzer corrects distances by its own air")
+        found.may("second face", False, "errors of its axes are not seen")
+        found.may("stream", False, "no axis sweeps: gear ripple remains")
+        found.may("aim by a person", False, "it measures named points only")
+        return found.listed
+
+    def _compare_listed(self, points: NamedPoints, found: TrackerAbilities) -> None:
+        """Add whether the job has the listed points."""
+        try:
+            self._compare(points)
+        except DeviceError as error:
+            if self._lines is None:
+                raise
+            found.need("points in the job", False, error.found)
+        else:
+            group = f"{self._options.collection};{self._options.group}"
+            found.need("points in the job", True, clean(group))
+
+    @classmethod
+    def discover(cls, known: Mapping[str, object]) -> list[Candidate]:
+        """Return the bridge at the host that a person gave, if it answers as T2SA."""
+        if not known.get("host"):
+            return []
+        given = {name: known[name] for name in ("host", "port") if name in known}
+        anything = {"reflector": "", "max_std_mm": 1.0, "find_radius_mm": 1.0}
+        try:
+            tracker = cls(msgspec.convert(given | anything, cls.Options), WallClock(Event()))
+            link = tracker._open()
+            with closing(tracker):
+                state = tracker._exchange(cls.STATUS).text
+        except (DeviceError, msgspec.ValidationError):
+            return []
+        options = tracker._options
+        place: dict[str, object] = {"host": options.host, "port": options.port}
+        simulated = is_simulated_name(state)
+        identity = Identity(
+            TRACKER.name, "tracker, by SpatialAnalyzer", "", link.address, simulated, "tracker"
+        )
+        return [Candidate(f"T2SA at {link.address}: {state}", place, [identity])]
+
     def connect(self) -> list[Identity]:
         self.close()
         options = self._options
         if self._points is None or Path(options.points).exists():
             self._points = _read(options.points)
         points = self._points  # whichever it is, the job is compared with it
-        link = TcpLink(TRACKER, options.host, options.port, self._clock.check)
-        # A date in the PC's own format may hold letters of any alphabet.
-        self._lines, self._stopped = TextLines(link, letters=True), False
+        link = self._open()
         with on_failure(self.close):
             state = self._ready()
             self._set_up()
@@ -269,6 +332,13 @@ class T2saTracker:
         self._lines = None
 
     # -- connecting ---------------------------------------------------------------------------
+
+    def _open(self) -> TcpLink:
+        self.close()
+        link = TcpLink(TRACKER, self._options.host, self._options.port, self._clock.check)
+        # A date in the PC's own format may hold letters of any alphabet.
+        self._lines, self._stopped = TextLines(link, letters=True), False
+        return link
 
     def _ready(self) -> str:
         """Return the bridge's state as soon as it is ready; raises where it stays busy."""

@@ -102,6 +102,7 @@ class GeocomDevice:
             5003: (0, lambda: _whole(self.SERIAL + strikes("tracker.wrong_identity"))),
             5004: (0, lambda: Answer(values=('"TS60 (simulated)"',))),
             5034: (0, lambda: _whole(8, 50, 0)),
+            5035: (0, lambda: _whole(300, 0x04 | 0x08 | 0x10)),  # 0.5", motors, ATR, guide light
             6002: (1, lambda mode: self._release()),
             9027: (5, lambda hz, v, exact, aim, dummy: self._point(hz, v, aim)),
             9028: (3, lambda exact, aim, dummy: self._change_face()),

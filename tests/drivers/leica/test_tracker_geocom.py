@@ -20,7 +20,17 @@ from hypothesis import strategies as st
 from drivers.device_errors import ProtocolError
 from drivers.leica import tracker_geocom as geocom
 from drivers.leica.tracker_geocom import LeicaGeocomTracker, Reply, Rpc
-from hilcell.ports import Aims, DeviceError, DeviceRefused, NoReading, Stopped, Streams, Tracker
+from hilcell.ports import (
+    Aims,
+    DeviceError,
+    DeviceRefused,
+    Discovers,
+    Inspects,
+    NoReading,
+    Stopped,
+    Streams,
+    Tracker,
+)
 from tests.drivers.leica.geocom_peer import GeocomPeer
 from tests.drivers.peers import Bed, WireTime, in_thread, kind, refusal
 
@@ -658,3 +668,55 @@ def test_a_failed_search_states_where_the_telescope_looked(
         error = refusal(search)
         assert (error.code, error.fields["searched_mm"]) == ("HC-T11", searched_mm)
         assert error.fields.get("beam") == (beam and pytest.approx(beam, abs=1e-12))
+
+
+# -- what it reports before anything is written --------------------------------------------------
+
+READING = {0, 2007, 2014, 2021, 2023, 2029, 5003, 5004, 5034, 5035, 18006}
+
+
+@pytest.mark.parametrize(
+    ("lie", "feature", "state", "needed"),
+    [
+        ({}, "motors", "has", "mandatory"),
+        ({5035: "0,300,8"}, "motors", "has not", "mandatory"),
+        ({5035: "0,300,4"}, "automatic target recognition", "has not", "mandatory"),
+        ({5035: "5"}, "automatic target recognition", "has not", "optional"),
+        ({2014: "5"}, "angle corrections", "has not", "optional"),
+        ({2007: "5"}, "compensator", "has not", "mandatory"),
+        ({}, "prism constant", "has", "mandatory"),
+        ({}, "serial number", "has", "mandatory"),
+        ({5003: "0,1"}, "serial number", "has not", "mandatory"),
+    ],
+)
+def test_it_lists_its_abilities_and_changes_nothing(
+    bed: GeocomBed, lie: dict[int, str], feature: str, state: str, needed: str
+) -> None:
+    before = dict(bed.peer.settings)
+    for rpc, answer in ({5035: "0,300,28"} | lie).items():
+        bed.peer.answers[rpc] = lambda _, answer=answer: answer
+    inspects: Inspects = bed.make(serial="884321")
+    found = {each.feature: each for each in inspects.inspect()}
+    assert (found[feature].state, found[feature].needed) == (state, needed)
+    assert {int(line.split(",")[1]) for line in bed.peer.requests} <= READING
+    assert bed.peer.settings == before
+
+
+def test_an_instrument_is_discovered_at_a_channel_that_a_person_gave(bed: GeocomBed) -> None:
+    discovers: type[Discovers] = LeicaGeocomTracker
+    (found,) = discovers.discover({"channel": bed.peer.channel})
+    assert found.options == {"channel": bed.peer.channel, "serial": "884321"}
+    assert found.identities[0].model == "Leica TS60, R1000"
+    bed.peer.reply = lambda number, answer: b"%R1P,no reply\r\n"
+    assert discovers.discover({"channel": bed.peer.channel}) == []
+    assert discovers.discover({"channel": "socket://nowhere"}) == []
+
+
+def test_serial_lines_are_listed_by_the_names_that_they_keep(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(LeicaGeocomTracker, "SERIAL_LINES", tmp_path)
+    (tmp_path / "usb-Leica_TS60-if00").touch()
+    (found,) = LeicaGeocomTracker.discover({})
+    assert found.options == {"channel": str(tmp_path / "usb-Leica_TS60-if00")}
+    assert not found.identities

@@ -22,6 +22,8 @@ from hilcell.ports import (
     Aims,
     DeviceError,
     DeviceRefused,
+    Discovers,
+    Inspects,
     NoReading,
     Searches,
     Stopped,
@@ -530,3 +532,45 @@ def test_a_search_without_success_states_its_radius(tracker: BedTracker) -> None
     assert (error.code, error.fields["searched_mm"]) == ("HC-T11", 300.0)
     error = refusal(lambda: tracker.search(-near_mm, SMR, 1, 300.0))  # no named point there
     assert (error.code, error.fields["searched_mm"]) == ("HC-T11", 300.0)
+
+
+# -- what it reports before anything is written --------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("lie", "feature", "state", "needed"),
+    [
+        ({}, "bridge ready", "has", "mandatory"),
+        ({"?STAT": "ERR-341 no SA"}, "bridge ready", "has not", "mandatory"),
+        ({}, "laser on and warm", "has", "optional"),
+        ({"?LSTA": "ACK-300 LOFF"}, "laser on and warm", "has not", "optional"),
+        ({}, "points in the job", "has", "mandatory"),
+        ({"?POINT_POS": "ERR-306 no point"}, "points in the job", "has not", "mandatory"),
+        ({}, "aim by a person", "has not", "optional"),
+    ],
+)
+def test_it_lists_its_abilities_and_changes_nothing(
+    bed: T2saBed, lie: dict[str, str], feature: str, state: str, needed: str
+) -> None:
+    for command, answer in lie.items():
+        bed.peer.answers[command] = lambda _, answer=answer: answer
+    inspects: Inspects = bed.make()
+    found = {each.feature: each for each in inspects.inspect()}
+    assert (found[feature].state, found[feature].needed) == (state, needed)
+    assert all(line.startswith("?") for line in bed.peer.requests)
+
+
+def test_a_missing_list_of_points_is_an_ability_it_lacks(bed: T2saBed) -> None:
+    found = {each.feature: each.state for each in bed.make(points="").inspect()}
+    assert found["list of points"] == "has not"
+    assert found["bridge ready"] == "has"
+
+
+def test_a_bridge_is_discovered_at_a_host_that_a_person_gave(bed: T2saBed) -> None:
+    discovers: type[Discovers] = T2saTracker
+    known = {"host": "127.0.0.1", "port": bed.peer.port}
+    (found,) = discovers.discover(known)
+    assert found.options == known
+    assert discovers.discover({}) == []
+    bed.peer.answers["?STAT"] = lambda _: "220 ready"
+    assert discovers.discover(known) == []
