@@ -7,7 +7,7 @@ only; the strip, read at rest, decides where the slide is, in the closed loop ab
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from typing import Annotated
@@ -18,6 +18,7 @@ from msgspec import Meta
 from drivers.canopen import cia
 from drivers.canopen.can_link import CanLink, heartbeat_period_s, open_bus
 from drivers.canopen.cia import Control, NodeCommand, NodeState, Object, State
+from drivers.canopen.controller_side import drive_and_strip
 from drivers.canopen.drive import Drive
 from drivers.canopen.motion_guard import Limits
 from drivers.canopen.nodes import (
@@ -45,7 +46,7 @@ from drivers.strips import (
 )
 from drivers.supervision import Deadline, Watchdog, ignore_stop, on_failure
 from hilcell.cell.settings import refuse
-from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, RailReading
+from hilcell.ports import Clock, ControllerSide, DeviceError, Identity, LinkStatistics, RailReading
 
 SLACK_MM = 5.0  # the slide may read so far beyond its travel before that is a runaway
 
@@ -195,6 +196,10 @@ class CanopenRail:
             self._close_link()
 
     # -- connecting ---------------------------------------------------------------------------
+
+    @classmethod
+    def controller_side(cls, options: Mapping[str, object]) -> ControllerSide:
+        return drive_and_strip(options)
 
     def _set_up(self, link: CanLink) -> list[Identity]:
         o, check, feed = self._options, self._clock.check, self._feed

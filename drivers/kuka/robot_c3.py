@@ -31,10 +31,11 @@ from drivers.kuka.controller import (
     value_error,
     value_errors,
 )
+from drivers.kuka.controller_side import variable_server
 from drivers.kuka.krl import JOINTS, POSE, SLIDE
 from drivers.kuka.robot import KukaOptions, KukaRobot, candidates
 from drivers.supervision import HEARTBEAT_TIMEOUT_S, Deadline, ignore_stop, on_failure
-from hilcell.ports import Array, Candidate, Clock
+from hilcell.ports import Array, Candidate, Clock, ControllerSide
 from hilcell.sanitize import clean
 from hilcell.wire.channel import Port
 
@@ -338,3 +339,7 @@ class KukaC3Robot(KukaRobot):
             return model, clean(serial.strip())
 
         return candidates(known, "C3 Bridge or KUKAVARPROXY", cls.Options, ask)
+
+    @classmethod
+    def controller_side(cls, options: Mapping[str, object]) -> ControllerSide:
+        return variable_server(options)

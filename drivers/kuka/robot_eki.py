@@ -43,11 +43,12 @@ from drivers.kuka.controller import (
     Need,
     value_errors,
 )
+from drivers.kuka.controller_side import ethernet_krl
 from drivers.kuka.krl import JOINTS, POSE, SLIDE
 from drivers.kuka.robot import KukaOptions, KukaRobot, candidates
 from drivers.supervision import HEARTBEAT_TIMEOUT_S, Deadline, ignore_stop, on_failure
 from drivers.wires import POLL_S
-from hilcell.ports import Array, Candidate, Clock, DeviceError
+from hilcell.ports import Array, Candidate, Clock, ControllerSide, DeviceError
 from hilcell.sanitize import clean
 from hilcell.wire.channel import Port
 
@@ -454,3 +455,7 @@ class KukaEkiRobot(KukaRobot):
             return clean(model.strip()), clean(serial.strip())
 
         return candidates(known, "EthernetKRL", cls.Options, ask)
+
+    @classmethod
+    def controller_side(cls, options: Mapping[str, object]) -> ControllerSide:
+        return ethernet_krl(options, EkiController.DOCUMENTS_VERSION)

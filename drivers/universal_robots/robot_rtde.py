@@ -10,10 +10,9 @@ from __future__ import annotations
 
 import secrets
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from importlib import resources
 from typing import Annotated, Self
 
 import msgspec
@@ -35,12 +34,14 @@ from drivers.supervision import (
     planned_s,
     polls,
 )
+from drivers.universal_robots.controller_side import nothing_to_install, shipped_script
 from drivers.universal_robots.rtde import Dashboard, Order, Runtime, UrLink, UrState
 from drivers.wires import TcpLink
 from hilcell.cell.file import Joint
 from hilcell.ports import (
     Array,
     Clock,
+    ControllerSide,
     DeviceError,
     DeviceRefused,
     Identity,
@@ -175,6 +176,10 @@ class UrRtdeRobot:
         finally:
             self._started = False
             self._close_wires()
+
+    @classmethod
+    def controller_side(cls, options: Mapping[str, object]) -> ControllerSide:
+        return nothing_to_install(options)
 
     # -- connecting ---------------------------------------------------------------------------
 
@@ -431,11 +436,9 @@ class UrRtdeRobot:
 
 
 def script_text(session: int) -> bytes:
-    text = (resources.files("drivers.universal_robots") / "script" / "hilcell.script").read_text(
-        "ascii"
-    )
     return (
-        text.replace("HC_SESSION", str(session))
+        shipped_script()
+        .replace("HC_SESSION", str(session))
         .replace("HC_LIFE", f"{HEARTBEAT_TIMEOUT_S:g}")
         .encode()
     )

@@ -92,6 +92,7 @@ GROUPS: Mapping[str, Commands] = {
     "setup": {
         "check": (signatures.Check, "cell:check"),
         "doctor": (signatures.Doctor, "doctor:doctor"),
+        "files": (signatures.Files, "files:files"),
         "sim": (signatures.Sim, "cell:sim"),
         "completion": (signatures.Completion, "manual:completion"),
     },

@@ -255,6 +255,20 @@ class Doctor(Signature):
     json: bool = JSON
 
 
+class Files(Signature):
+    """Write the files that a driver needs on its device's controller, with a page of steps."""
+
+    driver: str = option(
+        "driver (default: list those with files)", "DRIVER", default="", positional=True
+    )
+    output: str = option("folder of the files", "FOLDER", default="", flags=OUTPUT)
+    cell: str = option(
+        "cell file whose addresses, ports and tool number are filled in", "CELL", default=""
+    )
+    force: bool = option("replace files of the folder that were changed", default=False)
+    json: bool = JSON
+
+
 class Sim(Signature):
     """Run a simulated cell on its own."""
 
