@@ -9,10 +9,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import msgspec
+import numpy as np
 
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.cell.source import built_in_cells
+from hilcell.geometry.frames import to_rotvec
+from hilcell.ports import RobotSettings
 
 
 def differences(before: Cell, now: Cell, *, without: str = "") -> str:
@@ -39,6 +42,44 @@ def _different(before: object, now: object, key: str = "") -> Iterator[str]:
             text if len(text) <= 40 else f"{text[:37]}..." for text in (f"{before}", f"{now}")
         )
         yield f"{key} {one} -> {other}"
+
+
+def controller_differences(cell: Cell, settings: RobotSettings) -> list[str]:
+    """Return what a robot's controller has that hinders the cell file's motions or poses.
+
+    That is another tool (more than 1 um or 0.001 deg), and software limits within those of the cell
+    file: a controller that allows more hinders nothing. Values that it does not state are omitted.
+    """
+    robot, found = cell.robot, list[str]()
+    if settings.tool is not None:
+        turned_deg = np.degrees(np.linalg.norm(to_rotvec(settings.tool[:3, :3])))
+        off_mm = float(np.linalg.norm(settings.tool[:3, 3] - robot.smr_mm))
+        if not (off_mm <= 1e-3 and turned_deg <= 1e-3):
+            place, own = (
+                ", ".join(f"{axis} {mm:.3f}" for axis, mm in zip("XYZ", each, strict=True))
+                for each in (settings.tool[:3, 3], robot.smr_mm)
+            )
+            found.append(
+                f"the controller's tool is {place}, turned by {turned_deg:.3f} deg; "
+                f"robot.smr_mm is {own}, not turned: {off_mm:.3f} mm apart"
+            )
+    if settings.joint_limits_rad is not None:
+        limits = zip(robot.joint, np.degrees(settings.joint_limits_rad), strict=True)
+        found += [
+            f"A{axis}: the controller allows {low:.3f} to {high:.3f} deg, the cell file "
+            f"{joint.min_deg:g} to {joint.max_deg:g} deg"
+            for axis, (joint, (low, high)) in enumerate(limits, start=1)
+            if not (low <= joint.min_deg + 1e-3 and high >= joint.max_deg - 1e-3)
+        ]
+    if settings.axis_limits_mm is not None and cell.has_rail:
+        low_mm, high_mm = settings.axis_limits_mm
+        travel_mm = (cell.rail.travel_min_mm, cell.rail.travel_max_mm)
+        if not (low_mm <= travel_mm[0] and high_mm >= travel_mm[1]):
+            found.append(
+                f"external axis: the controller allows {low_mm:.2f} to {high_mm:.2f} mm, the cell "
+                f"file {travel_mm[0]:g} to {travel_mm[1]:g} mm"
+            )
+    return found
 
 
 def check_identity(where: str, cell: Cell) -> str:

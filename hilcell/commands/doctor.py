@@ -14,6 +14,7 @@ import shutil
 import socket
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Mapping
 from contextlib import suppress
@@ -28,16 +29,20 @@ from hilcell.cell.devices import (
     THIS_MACHINE,
     check_options,
     device_addresses,
+    driver_options,
     installed,
     load_entry,
 )
-from hilcell.cell.file import load_cell
+from hilcell.cell.differences import controller_differences
+from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
+from hilcell.clock import WallClock
 from hilcell.commands.console import print_data, print_json
 from hilcell.commands.signatures import Doctor
 from hilcell.errors import EXIT_REFUSED
 from hilcell.journal.journal import StorageError
 from hilcell.journal.runs import bytes_free, bytes_needed, nearest_existing
+from hilcell.ports import DeviceError, StatesSettings
 from hilcell.report.pdf import find_browser
 from hilcell.run.cell_lock import CellLocked, lock_of_device, locked, locks_folder
 from hilcell.sanitize import harmless_lines
@@ -45,6 +50,7 @@ from hilcell.tui.keys import default_file, load_keys
 from hilcell.tui.terminal import has_colours, has_unicode, is_coerced
 
 PARTS = (*PORTS, *(f"simulated_{group}" for group in PORTS), "programs", "program_writers")
+CONNECTED = "accepts connections"
 SHOWN = {"ok": "ok", "warning": "note", "wrong": "WRONG"}
 
 
@@ -301,9 +307,26 @@ def _devices(where: str, overrides: dict[str, str]) -> dict[str, Finding]:
         try:  # a connection could disturb a run that uses the device
             with locked(lock_of_device(place), check, "hilcell doctor"):
                 checked[check] = _place(place)
+                if "robot" in tables and checked[check].found == CONNECTED:
+                    checked["robot's settings"] = robot_settings(cell)
         except CellLocked as error:
             checked[check] = Finding("ok", f"in use: {error}")
     return checked
+
+
+def robot_settings(cell: Cell) -> Finding:
+    """Compare tool and limits of the robot's controller with the cell file; reads only."""
+    kind, options = driver_options(cell, "robot", {})
+    robot = kind(options, WallClock(threading.Event()))
+    if not isinstance(robot, StatesSettings):
+        return Finding("ok", "not compared: the driver does not read them")
+    try:
+        found = controller_differences(cell, robot.settings())
+    except DeviceError as error:
+        return Finding("wrong", str(error))
+    if found:
+        return Finding("wrong", "; ".join(found), "correct the controller, or the cell file")
+    return Finding("ok", "tool and limits allow what the cell file needs")
 
 
 def _place(place: str) -> Finding:
@@ -319,7 +342,7 @@ def _place(place: str) -> Finding:
             return Finding(
                 "wrong", found, "switch the device on; check its cable, address and port"
             )
-        return Finding("ok", "accepts connections")
+        return Finding("ok", CONNECTED)
     if place.startswith("/"):
         if not Path(place).exists():
             return Finding("wrong", "no such port", "plug in the adapter, or correct the channel")

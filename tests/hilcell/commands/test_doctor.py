@@ -16,10 +16,14 @@ from typing import Any
 
 import pytest
 
+from fakes.kuka.c3_server import C3Server
 from hilcell.alarms.catalogue import catalogue
 from hilcell.cell.devices import THIS_MACHINE
+from hilcell.cell.file import load_cell
 from hilcell.commands import doctor
 from hilcell.run.cell_lock import lock_of_device, locked
+from tests.fakes.conftest import served
+from tests.fakes.wires import C3Client
 from tests.hilcell.cell.packages import install
 from tests.whole.bench import command
 
@@ -43,12 +47,16 @@ def checks(folder: Path, *words: str) -> dict[str, dict[str, Any]]:
 
 def of_cell(folder: Path, *settings: str, name: str = "paper") -> dict[str, dict[str, Any]]:
     """Return the checks of a cell's places, by the place."""
+    found = whole_cell(folder, *settings, name=name)
+    return {key.partition(" at ")[2]: each for key, each in found.items() if " at " in key}
+
+
+def whole_cell(folder: Path, *settings: str, name: str = "paper") -> dict[str, dict[str, Any]]:
     cell = folder / "cell.toml"
     text = (resources.files("hilcell.cells") / f"{name}.toml").read_text("utf-8")
     cell.write_text(text.partition("[simulation]")[0])
     given = [word for each in settings for word in ("--set", each)]
-    found = checks(folder, "--cell", str(cell), *given)
-    return {key.partition(" at ")[2]: each for key, each in found.items() if " at " in key}
+    return checks(folder, "--cell", str(cell), *given)
 
 
 def test_a_sound_pc_is_sound(tmp_path: Path) -> None:
@@ -205,3 +213,27 @@ def test_a_cell_without_a_rail_has_no_place_of_it(tmp_path: Path) -> None:
     found = of_cell(tmp_path, name="fixed")
     assert found
     assert not any("rail" in each["check"] for each in found.values())
+
+
+NARROW = "[[-185, 185], [-139, -5], [-120, 168], [-350, 350], [-125, 125], [-350, 350]]"
+
+
+@pytest.mark.parametrize(
+    ("entries", "words"),
+    [
+        ({}, []),
+        ({"tool_off_mm": "[0.0, 0.0, 20.0]"}, ["98.000, Y 0.000, Z 147.000", "20.000 mm apart"]),
+        ({"limits_deg": NARROW}, ["A2", "-139.000 to -5.000 deg", "-140 to"]),
+        ({"limits_deg": NARROW.replace("-139", "-150")}, []),
+    ],
+)
+def test_tool_and_limits_of_a_controller_are_compared(
+    tmp_path: Path, entries: dict[str, str], words: list[str]
+) -> None:
+    """Narrower limits refuse motions that the plan allows; wider ones hinder nothing."""
+    sizes = {f"simulation.sizes.controller.{key}": text for key, text in entries.items()}
+    with served(C3Server, C3Client, load_cell("paper", sizes)) as robot:
+        given = 'robot.options.host="127.0.0.1"', f"robot.options.port={robot.server.port}"
+        found = whole_cell(tmp_path, *given)["robot's settings"]
+    assert found["state"] == ("wrong" if words else "ok"), found
+    assert all(word in found["found"] for word in words), found
