@@ -18,6 +18,7 @@ from typing import Annotated, Self
 import msgspec
 import numpy as np
 from msgspec import Meta
+from msgspec.structs import fields
 
 from drivers.device_errors import ROBOT
 from drivers.supervision import (
@@ -35,11 +36,20 @@ from drivers.supervision import (
     polls,
 )
 from drivers.universal_robots.controller_side import nothing_to_install, shipped_script
+from drivers.universal_robots.first_contact import (
+    abilities,
+    controller_settings,
+    describe_silence,
+    field_types,
+    panel_answers,
+)
 from drivers.universal_robots.rtde import Dashboard, Order, Runtime, UrLink, UrState
 from drivers.wires import TcpLink
 from hilcell.cell.file import Joint
 from hilcell.ports import (
+    Ability,
     Array,
+    Candidate,
     Clock,
     ControllerSide,
     DeviceError,
@@ -47,6 +57,7 @@ from hilcell.ports import (
     Identity,
     JointSample,
     RobotReading,
+    RobotSettings,
     Stopped,
     is_simulated_name,
 )
@@ -66,7 +77,11 @@ ERRORS = {
 
 
 class UrRtdeRobot:
-    """Satisfies `hilcell.ports.Robot` and `hilcell.ports.Sweeps`."""
+    """Satisfies `hilcell.ports.Robot` and `hilcell.ports.Sweeps`.
+
+    For commissioning also `hilcell.ports.Inspects`, `hilcell.ports.Discovers` and
+    `hilcell.ports.StatesSettings`.
+    """
 
     HEARTBEAT_S = 0.2
     STARTED_S = 5.0  # wire deadline: from sending the script to its first state
@@ -177,6 +192,53 @@ class UrRtdeRobot:
             self._started = False
             self._close_wires()
 
+    # -- commissioning ------------------------------------------------------------------------
+
+    def inspect(self) -> list[Ability]:
+        options = self._options
+        return abilities(
+            panel_answers(options.host, options.dashboard_port),
+            controller_settings(options.host, options.script_port),
+            field_types(options.host, options.rtde_port, options.rate_hz),
+        )
+
+    def settings(self) -> RobotSettings:
+        """Return model and serial number of the dashboard, the rest of the secondary client."""
+        options = self._options
+        answers = panel_answers(options.host, options.dashboard_port)
+        limits_rad, tool = controller_settings(options.host, options.script_port)
+        model, serial = answers["get robot model"], answers["get serial number"]
+        return RobotSettings(model, serial, limits_rad, tool, None)
+
+    @classmethod
+    def discover(cls, known: Mapping[str, object]) -> list[Candidate]:
+        """Return the controller whose dashboard server answers at the host, if one is given."""
+        host, usual = known.get("host"), {each.name: each.default for each in fields(cls.Options)}
+        if not isinstance(host, str):
+            return []
+        ports = {
+            name: msgspec.convert(known.get(name, usual[name]), int)
+            for name in ("rtde_port", "script_port", "dashboard_port")
+        }
+        found: dict[str, object] = {"host": host, **{n: p for n, p in ports.items() if n in known}}
+        try:
+            answers = panel_answers(host, ports["dashboard_port"])
+        except DeviceError as error:
+            silence = describe_silence(host, ports["rtde_port"])
+            if error.code == ROBOT.unreachable and not silence:
+                return []
+            return [Candidate(silence or f"{host}: {error.found}", found, [])]
+        model, serial = answers["get robot model"], answers["get serial number"]
+        software = answers["PolyscopeVersion"] or "version unknown"
+        if model is None or serial is None:
+            title = f"Universal Robots at {host}, {software}: required is {UrLink.POLYSCOPE}"
+            return [Candidate(title, found, [])]
+        address, maker = f"{host}:{ports['rtde_port']}", "Universal Robots"
+        simulated = is_simulated_name(model)
+        identity = Identity(ROBOT.name, model, serial, address, simulated, "robot", maker, software)
+        title = f"Universal Robots {model}, serial number {serial}, {software}, at {host}"
+        return [Candidate(title, {**found, "model": model, "serial": serial}, [identity])]
+
     @classmethod
     def controller_side(cls, options: Mapping[str, object]) -> ControllerSide:
         return nothing_to_install(options)
@@ -264,8 +326,9 @@ class UrRtdeRobot:
         limits = np.array([self.TOOL_MM] * 3 + [self.TOOL_RAD] * 3)
         if not bool(np.all(np.abs(state.tool - expected) <= limits)):
             form = "X {:.3f}, Y {:.3f}, Z {:.3f}, RX {:.3f}, RY {:.3f}, RZ {:.3f}".format
-            found = f"the TCP is {form(*state.tool)}"
-            raise ROBOT.refused("HC-B06", "connect", found, expected=form(*expected))
+            found = f"the controller's TCP is {form(*state.tool)}"
+            own = f"robot.smr_mm of the cell file, {form(*expected)}"
+            raise ROBOT.refused("HC-B06", "connect", found, expected=own)
 
     # -- moving -------------------------------------------------------------------------------
 

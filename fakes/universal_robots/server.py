@@ -133,6 +133,17 @@ class UrController:
                 values["actual_q"] = np.array([float(bad), *np.ravel(values["actual_q"])[1:]])
             return values
 
+    def robot_state(self) -> bytes:
+        """Return a robot state of the secondary client: the tool and the joint limits.
+
+        Cartesian Info is sub-package 4, Configuration Data 6; values that nobody reads are 0.
+        """
+        limits_rad = np.radians(self._arm.limits_deg).ravel()
+        cartesian, more = struct.pack("!12d", *np.zeros(6), *self._tcp), bytes(440 - 96)
+        parts = ((4, cartesian), (6, struct.pack("!12d", *limits_rad) + more))
+        body = b"".join(struct.pack("!iB", 5 + len(part), kind) + part for kind, part in parts)
+        return struct.pack("!iB", 5 + len(body), 16) + body
+
     def write(self, values: dict[str, float]) -> None:
         life = "input_int_register_26"  # the PC's sign
         with self._lock:
@@ -496,8 +507,6 @@ def _names(payload: bytes) -> list[str]:
 class UrServer(Server):
     """Serves one controller; only the port of RTDE can be chosen."""
 
-    STATE = bytes([0, 0, 0, 5, 16])  # an empty message of robot states
-
     def __init__(self, site: Site, port: int = 0) -> None:
         self.controller, self.faults, self.time = UrController(site), site.faults, site.time
         self.writer = threading.Lock()  # held for the one client that may write registers
@@ -519,7 +528,7 @@ class UrServer(Server):
             ready, _, _ = select.select([client], [], [], state_s)
             if not ready:
                 with contextlib.suppress(BlockingIOError):
-                    client.send(self.STATE, socket.MSG_DONTWAIT)
+                    client.send(self.controller.robot_state(), socket.MSG_DONTWAIT)
                 continue
             data = client.recv(RECEIVE)
             text += data.decode("ascii", "replace")
