@@ -136,6 +136,12 @@ class WatchdogTimer:
                 threading.Thread(target=self._watch, name="timer 10", daemon=True).start()
             self._changed.notify()
 
+    @property
+    def value_ms(self) -> int:
+        """The value of a timer that runs; of one that was stopped, as if it ran."""
+        with self._changed:
+            return round(1000.0 * (self._time.now_s() - self._zero_s))
+
     def set_ms(self, value_ms: int) -> None:
         with self._changed:
             self._zero_s = self._time.now_s() - value_ms / 1000.0

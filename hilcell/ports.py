@@ -532,6 +532,12 @@ class ExternalAxis(Protocol):
     def hold_axis(self) -> None:
         """Have the controller refuse every motion of the slide until the next `move_axis`."""
 
+    def brake_axis(self, attend: Callable[[float], object]) -> None:
+        """Brake a motion of the slide that ``attend`` has ended; return when it is at rest, held.
+
+        The session goes on: the next `move_axis` moves it again. ``attend`` as in `move_axis`.
+        """
+
     def stop(self) -> None:
         """Brake arm and slide; any thread."""
 

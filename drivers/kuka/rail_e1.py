@@ -8,9 +8,10 @@ the axis is mastered and that the strip agrees.
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
+import numpy as np
 from msgspec import Meta
 
 from drivers.device_errors import RAIL
@@ -25,11 +26,51 @@ from drivers.slide import (
 )
 from drivers.strips import Positive, StripOptions, StripReader, strip_of
 from drivers.supervision import on_failure
-from hilcell.ports import Clock, DeviceError, ExternalAxis, Identity, LinkStatistics, RailReading
+from hilcell.ports import (
+    Clock,
+    DeviceError,
+    ExternalAxis,
+    Identity,
+    LinkStatistics,
+    RailReading,
+    RailTrace,
+    StripLost,
+)
+
+
+class _Ended(Exception):
+    """A jog is to be ended by a stop."""
+
+
+class _Jog:
+    """The rows of a jog, the first at its start."""
+
+    def __init__(self, bound_mm: float, stop_after_mm: float) -> None:
+        self._bound_mm, self._stop_after_mm = bound_mm, stop_after_mm
+        self._rows: list[tuple[float, float, float, float]] = []
+        self._stopped_by: Literal["", "bound", "stop"] = ""
+
+    def add(self, taken_s: float, drive_mm: float, strip_mm: float, velocity_mm_s: float) -> None:
+        self._rows.append((taken_s, drive_mm, strip_mm, velocity_mm_s))
+
+    def judge(self) -> None:
+        """Raise `_Ended` where drive or strip are beyond the bound, or far enough to stop."""
+        (_, *start, _), (_, *now, _) = self._rows[0], self._rows[-1]
+        moved_mm = [abs(b - a) for a, b in zip(start, now, strict=True)]
+        if not max(moved_mm) <= self._bound_mm:
+            self._stopped_by = "bound"
+        elif moved_mm[0] >= self._stop_after_mm:
+            self._stopped_by = "stop"
+        if self._stopped_by:
+            raise _Ended
+
+    def trace(self) -> RailTrace:
+        taken_s, drive_mm, strip_mm, velocity_mm_s = np.array(self._rows).T
+        return RailTrace(taken_s, drive_mm, strip_mm, velocity_mm_s, self._stopped_by)
 
 
 class KukaE1Rail:
-    """Satisfies `hilcell.ports.Rail` and `hilcell.ports.RobotDrivenRail`."""
+    """Satisfies `hilcell.ports.Rail`, `hilcell.ports.RobotDrivenRail` and `hilcell.ports.Jogs`."""
 
     CYCLE_S = 0.012  # of the controller: within one the place does not change
 
@@ -118,6 +159,65 @@ class KukaE1Rail:
         with on_failure(self._stop_after_failure):
             axis.move_axis(position_mm, options.speed_mm_s, options.full_mm_s, attend)
         self._ended_s = self._clock.pc_s()
+
+    def jog(
+        self,
+        distance_mm: float,
+        *,
+        bound_mm: float,
+        speed_mm_s: float,
+        stop_after_mm: float | None = None,
+    ) -> RailTrace:
+        """Jog E1, at whole percents of ``full_mm_s``: not slower than 1 %."""
+        axis, full_mm_s = self._axis(), self._options.full_mm_s
+        speed_mm_s = max(speed_mm_s, full_mm_s / 100.0)
+        self._forget()
+        self._ended_s = None
+        self._strip.reconnect()
+        trace = _Jog(bound_mm, np.inf if stop_after_mm is None else stop_after_mm)
+
+        def attend(drive_mm: float, ordered_mm_s: float) -> None:
+            now_s = self._clock.now_s()
+            strip, alarms = self._strip.poll(self._clock.check)
+            if alarms:  # the bound needs both
+                found = f"strip sensor: {self._strip.alarm_text(alarms)}"
+                raise StripLost("HC-S01", RAIL.name, "jog", found, fields={"alarms": alarms})
+            trace.add(now_s, drive_mm, strip / self._options.strip.counts_per_mm, ordered_mm_s)
+
+        def watch(drive_mm: float) -> None:
+            attend(drive_mm, speed_mm_s)
+            trace.judge()
+
+        with on_failure(self._stop_after_failure):
+            start_mm = axis.read_axis().position_mm
+            attend(start_mm, 0.0)
+            try:
+                axis.move_axis(start_mm + distance_mm, speed_mm_s, full_mm_s, watch)
+                attend(axis.read_axis().position_mm, 0.0)
+            except _Ended:
+                axis.brake_axis(lambda drive_mm: attend(drive_mm, 0.0))
+            self.hold()
+        self._ended_s = self._clock.pc_s()
+        return trace.trace()
+
+    def rescaled(self, drive: float, strip: float, speed: float) -> dict[str, object]:
+        """Return the strip's scale and ``full_mm_s``; that of E1 is the controller's.
+
+        Raises `DeviceRefused` where E1 itself does not move in mm of the strip.
+        """
+        if drive != 1.0:
+            raise RAIL.refused(
+                "HC-R53",
+                "rescale",
+                f"E1 counts {1.0 / drive:.4f} mm per mm",
+                expected="1",
+                act="correct scale and sign of E1 in the controller's machine data",
+                factor=drive,
+            )
+        options = self._options
+        head = msgspec.to_builtins(options.strip)
+        head["counts_per_mm"] = options.strip.counts_per_mm / strip
+        return {"strip": head, "full_mm_s": options.full_mm_s * speed}
 
     def settle(self) -> RailReading:
         """Return a reading at rest: medians of five in a row within the windows, over the dwell."""

@@ -334,6 +334,25 @@ class KukaRobot:
         self._slide_wire().hold_slide(held=True)
         self._slide_free = False
 
+    def brake_axis(self, attend: Callable[[float], object]) -> None:
+        controller, before_mm = self._slide_wire(), np.inf
+        controller.brake()
+        for last in polls(BRAKED_S, self.STEP_S):
+            self._clock.wait(POLL_S)
+            controller.refresh()
+            place_mm, _ = controller.slide()
+            attend(place_mm)
+            stands = abs(place_mm - before_mm) <= STILL_MM
+            if stands and controller.integer("HC_ERR") in (STOPPED, LOST):
+                break
+            if last:
+                found = f"E1 at {place_mm:.2f} mm is not at rest {BRAKED_S:g} s after the brake"
+                raise RAIL.failed("HC-B41", "brake", found, position_mm=place_mm)
+            before_mm = place_mm
+        self.resume()
+        self.hold_axis()
+        self.slide_mm, _ = controller.slide()
+
     def _judged_speed(self, allowed_mm_s: float) -> float:
         """Position of the slide; judge the least speed that two polls of its motion allow for. From
         before the earlier request to after the later answer, so a late answer is no speed.

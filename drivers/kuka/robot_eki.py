@@ -23,7 +23,7 @@ import re
 import secrets
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import partial
@@ -445,11 +445,9 @@ class KukaEkiRobot(KukaRobot):
         """Return the controller whose submit program answers at the host, if one is given."""
 
         def ask(host: str, port: int) -> tuple[str, str]:
-            channel = EkiChannel(host, port, STATE, ignore_stop, command(0, Kind.ASK))
-            try:
-                state = channel.ask(0, command(0, Kind.ASK))
-            finally:
-                channel.close()
+            probe = command(0, Kind.ASK)
+            with closing(open_channel(host, port, STATE, ignore_stop, probe)) as channel:
+                state = channel.ask(0, probe)
             with value_errors("$TRAFONAME[]"):
                 model, serial = (state.text("Robot", name) for name in ("Model", "Serial"))
             return clean(model.strip()), clean(serial.strip())

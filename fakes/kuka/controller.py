@@ -270,6 +270,7 @@ class KrlController:
             "$AXIS_ACT_MEAS": lambda: self._position("$AXIS_ACT_MEAS"),
             "$POS_ACT": lambda: self._position("$POS_ACT"),
             "HC_VER": lambda: str(self._arm.program or PROGRAM),
+            "$TIMER[10]": lambda: str(self._timer.value_ms),
             "HC_HELD": lambda: self._boolean(self._slide is None or self._slide.held),
             "HC_PLACE": lambda: f"{self._slide_mm:.5f}",
             "HC_TGT": lambda: aggregate("E6AXIS", self._target_deg, self.EXTERNAL),

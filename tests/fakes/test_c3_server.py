@@ -72,6 +72,8 @@ def test_a_controller_has_its_own_tool_limits_and_program() -> None:
             places[read("HC_VER")] = np.array(numbers(read("$POS_ACT"))[:3])
             tool, ends = read("$TOOL"), (read("$SOFTN_END[2]"), read("$SOFTP_END[7]"))
             assert tool == read("TOOL_DATA[1]")
+            robot.client.write("$TIMER[10]", "-1500")
+            assert int(read("$TIMER[10]")) >= -1500
     assert numbers(tool) == [98.0, 0.0, 147.0, 0.0, 0.0, 0.0]
     assert ends == ("-140.00000", "3020.00000")
     assert np.linalg.norm(places["3"] - places["4"]) == pytest.approx(20.0, abs=0.01)

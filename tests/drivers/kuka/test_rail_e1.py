@@ -12,7 +12,7 @@ import pytest
 from drivers.kuka import robot as kuka_robot
 from drivers.kuka.rail_e1 import KukaE1Rail
 from drivers.strips import StripOptions
-from hilcell.ports import DeviceRefused, Stopped, StripLost
+from hilcell.ports import DeviceRefused, Jogs, Stopped, StripLost
 from tests.drivers.kuka.kuka_bed import ALARMS, TARGET_RAD, BedRobot
 from tests.drivers.kuka.kuka_peer import KukaPeer
 from tests.drivers.peers import WireTime, kind, refusal
@@ -291,3 +291,64 @@ def test_closing_leaves_the_slide_held(bench: Bench) -> None:
 def test_speeds_below_one_percent_are_refused(bench: Bench) -> None:
     with pytest.raises(ValueError, match="full_mm_s"):
         bench.rail_for(speed_mm_s=10.0)
+
+
+@pytest.mark.parametrize(
+    ("strip_per_mm", "stop_after_mm", "stopped_by", "moved_mm"),
+    [
+        (1.0, None, "", 5.0),
+        (-1.0, None, "", 5.0),
+        (10.0, None, "bound", 5.0 / 3.0),
+        (1.0, 2.0, "stop", 10.0 / 3.0),
+    ],
+)
+def test_a_jog_ends_at_its_distance_or_its_bound_and_the_session_goes_on(
+    bench: Bench,
+    strip_per_mm: float,
+    stop_after_mm: float | None,
+    stopped_by: str,
+    moved_mm: float,
+) -> None:
+    """A strip of another scale or sign ends no jog: only the bound of both does."""
+    jogs: Jogs = bench.rail
+    bench.connect()
+    counts = 100.0 * strip_per_mm
+    bench.strip.counts = lambda: round(64_000 + counts * (bench.kuka.slide_mm - 640.0))
+    trace = jogs.jog(5.0, bound_mm=8.0, speed_mm_s=20.0, stop_after_mm=stop_after_mm)
+    assert trace.stopped_by == stopped_by
+    assert (trace.drive_mm[0], trace.strip_mm[0]) == (640.0, 640.0)
+    drive_mm, strip_mm = trace.drive_mm[-1] - 640.0, trace.strip_mm[-1] - 640.0
+    assert strip_mm == pytest.approx(strip_per_mm * drive_mm, abs=0.01)
+    assert drive_mm == pytest.approx(moved_mm, abs=1e-4)
+    assert set(trace.velocity_mm_s) == {0.0, 20.0}
+    assert bool(np.all(np.diff(trace.taken_s) >= 0.0))
+    assert bench.kuka.variables["HC_VEL"] == "1"  # of 1890 mm/s, in whole percents
+    assert bench.kuka.variables["HC_HELD"] == "TRUE"
+    assert ("write HC_STOP" in bench.kuka.requests) is bool(stopped_by)
+    back = jogs.jog(-1.0, bound_mm=50.0, speed_mm_s=1.0)  # at 1 %
+    assert back.drive_mm[-1] == pytest.approx(trace.drive_mm[-1] - 1.0)
+    assert set(back.velocity_mm_s) == {0.0, 18.9}
+    assert f"E1 {back.drive_mm[-1]:.6f}" in bench.kuka.variables["HC_TGT"]
+    bench.robot.move_to(TARGET_RAD, 30.0)  # carries the slide's place
+    assert f"E1 {back.drive_mm[-1]:.6f}" in bench.kuka.variables["HC_TGT"]
+
+
+def test_a_jog_without_its_strip_brakes(bench: Bench) -> None:
+    bench.connect()
+    bench.kuka.moved = bench.strip.server.drop
+    with pytest.raises(StripLost):
+        bench.rail.jog(5.0, bound_mm=8.0, speed_mm_s=20.0)
+    bench.kuka.stopped.wait()
+    assert refusal(lambda: bench.rail.move_to(700.0)).code == "HC-B21"
+
+
+def test_scale_of_the_strip_and_speed_are_options_that_of_e1_is_the_controllers(
+    bench: Bench,
+) -> None:
+    found = bench.rail.rescaled(1.0, -0.5, 1.1)
+    assert found["full_mm_s"] == pytest.approx(1890.0 * 1.1)
+    strip = found["strip"]
+    assert isinstance(strip, dict)
+    assert strip["counts_per_mm"] == pytest.approx(-200.0)
+    assert strip["channel"] == bench.strip.channel
+    assert kind(refusal(lambda: bench.rail.rescaled(0.9, 1.0, 1.0))) == (DeviceRefused, "HC-R53")
