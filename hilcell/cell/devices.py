@@ -179,6 +179,8 @@ def abilities(cell: Cell) -> dict[str, bool]:
     return {
         "tracker_streams": issubclass(tracker, ports.Streams),
         "tracker_turns_over": issubclass(tracker, ports.TwoFaces),
+        "tracker_searches": issubclass(tracker, ports.Searches),
+        "tracker_aims": issubclass(tracker, ports.Aims),
         "robot_sweeps": issubclass(load_entry("robots", cell.robot.driver), ports.Sweeps),
     }
 

@@ -25,7 +25,7 @@ from hilcell.journal.runs import live_engine, read_log
 from hilcell.journal.runs_folder import command_on
 from hilcell.model.events import Announced, StepBegun
 from hilcell.ports import HilcellError
-from hilcell.run.control import order
+from hilcell.run.control import HERE, MEASURED_S, RELEASE, order
 from hilcell.run.engine import Engine, NewEngine, ResumedEngine
 from hilcell.run.last_word import last_word
 from hilcell.run.order import Attendance, Order, Resume
@@ -79,6 +79,11 @@ def _resume_live(folder: Path, args: Resume) -> int:
 
     An announced motion of a real robot always needs a typed "yes" or a screen.
     """
+    if args.answer == RELEASE:  # the run still waits
+        order(folder, "answer", choice=args.answer, timeout_s=MEASURED_S)
+        resume = command_on(folder, "resume")
+        print_message(f"the beam is free: put it on the nest, then `{resume} --answer {HERE}`")
+        return 0
     operator, status = can_ask(args.attendance), order(folder, "status")
     log, in_progress = read_log(folder), status.state == "running" and not status.pausing
     procedure: Procedure = load_entry("procedures", log.inputs.procedure)
@@ -106,6 +111,10 @@ def _resume_live(folder: Path, args: Resume) -> int:
             f"{kind_of(log)} {folder.name}: {log.state}; it waits for no answer, so none was "
             f"sent. In progress: {moving}"
         )
+        return 0
+    if args.answer:
+        order(folder, "answer", choice=args.answer, timeout_s=MEASURED_S)
+        print_message(f"run {folder.name}: answered {args.answer}; the run continues")
         return 0
     answer = order(folder, "proceed", until=newest)
     print_message(f"run {folder.name}: asked to continue; it was {answer.state}")

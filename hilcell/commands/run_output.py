@@ -182,7 +182,10 @@ class ProgressOutput(RunOutput):
             reason = f"{change.reason}; " if change.reason else ""
             if change.prompt is not None:
                 reason = f"{change.prompt['title']}. {change.prompt['text']} When it is done, "
-            proceed = f"`{command_on(self._folder, 'resume')}` continues, ctrl-C stops"
+            resume = command_on(self._folder, "resume")
+            proceed = f"`{resume}` continues, ctrl-C stops"
+            for choice in [] if change.prompt is None else change.prompt.get("choices", ()):
+                proceed += f"; `{resume} --answer {choice['name']}`: {choice['text']}"
             self._print(f"{change.to}: {reason}{proceed}")
 
     def _print(self, text: str) -> None:

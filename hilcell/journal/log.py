@@ -419,6 +419,11 @@ class Log:
         return [record.fact for record in self.events if isinstance(record.fact, kind)]
 
     @property
+    def taken(self) -> dict[str, events.PlaceTaken]:
+        """Return the places that an operator has taken, the newest of each nest."""
+        return {event.place: event for event in self.happened(events.PlaceTaken)}
+
+    @property
     def states(self) -> dict[str, str]:
         return {"run": self.state, "calibration": self.calibration}
 

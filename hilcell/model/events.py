@@ -426,6 +426,22 @@ class ReflectorPlaced(Event, frozen=True, kw_only=True, tag="seated"):
     strip_mm: float = nan
 
 
+class PlaceTaken(Event, frozen=True, kw_only=True, tag="place taken"):
+    """An operator has taken the place of a nest, tracker's frame, in place of the cell file's.
+
+    ``how``: "here", where the tracker pointed, or "wider", by a wider search; ``set_up`` is the
+    tracker's, ``off_mm`` the distance from the expected place.
+    """
+
+    says: ClassVar[str] = "place of {0.place} taken, {0.off_mm:.1f} mm from the expected one"
+    place: str
+    how: str
+    xyz_mm: Three
+    expected_mm: Three
+    off_mm: float
+    set_up: int = 0
+
+
 class StreamRecorded(OfPoint, frozen=True, kw_only=True, tag="stream"):
     """A stream of readings during a sweep; ``file`` is in the run's folder of streams.
 

@@ -39,6 +39,7 @@ from hilcell.model.events import AlarmsAcknowledged
 
 ANSWER_S = 2.0  # of a screen, which asks repeatedly
 ORDER_S = 5.0  # of a command, which asks once
+MEASURED_S = 90.0  # of an answer to a prompt, which the tracker verifies, perhaps by a wide search
 
 Command = Literal[
     "status", "pause", "proceed", "stop", "abort", "answer", "retake", "acknowledge", "attend",
@@ -54,10 +55,12 @@ class Subject(TypedDict, total=False):
     key: str
     codes: tuple[str, ...]
     until: int
+    choice: str
 
 
 class Request(msgspec.Struct, frozen=True, omit_defaults=True):
-    """A client's request: ``key`` names the point of a ``retake``.
+    """A client's request: ``key`` names the point of a ``retake``, ``choice`` the kind of an
+    ``answer``, "" for "done".
 
     ``codes`` and ``until`` are the alarms of an ``acknowledge`` and its last known record; a
     ``proceed`` with an ``until`` agrees to the question of that record. ``before`` is the expiry in
@@ -69,6 +72,7 @@ class Request(msgspec.Struct, frozen=True, omit_defaults=True):
     before: str | None = None
     codes: tuple[str, ...] = ()
     until: int = 0
+    choice: str = ""
 
     @classmethod
     def within(cls, timeout_s: float, command: Command, **subject: Unpack[Subject]) -> Self:
@@ -111,6 +115,16 @@ class Interlock(msgspec.Struct, frozen=True):
     code: str = ""
 
 
+RELEASE, HERE, WIDER = "release", "here", "wider"  # choices: let go of the beam, take a place
+
+
+class Choice(msgspec.Struct, frozen=True):
+    """An answer to a prompt besides "done", by its name; ``text`` says what it does."""
+
+    name: str
+    text: str
+
+
 class PromptStatus(msgspec.Struct, frozen=True):
     """The prompt to the operator and its last verification, tracker's frame."""
 
@@ -123,6 +137,7 @@ class PromptStatus(msgspec.Struct, frozen=True):
     age_s: float | None = None
     ready: bool = False
     check: bool = True
+    choices: tuple[Choice, ...] = ()
 
 
 class Status(msgspec.Struct, frozen=True, kw_only=True):
@@ -161,7 +176,7 @@ class _Runner(Protocol):
     def stop(self) -> None: ...
     def post(self, command: str) -> None: ...
     def proceed_refusal(self, since: int) -> str: ...
-    def answer(self) -> str: ...
+    def answer(self, choice: str) -> str: ...
     def retake(self, key: str) -> str: ...
     def acknowledge(self, made: AlarmsAcknowledged) -> str: ...
     def watched(self, by: int) -> int: ...
@@ -284,7 +299,7 @@ class _Handler(socketserver.StreamRequestHandler):
             case "pause" | "proceed" | "abort":
                 runner.post(request.command)
             case "answer":
-                return runner.answer()
+                return runner.answer(request.choice)
             case "retake":
                 return runner.retake(request.key)
             case "acknowledge":
@@ -428,21 +443,23 @@ class EngineClient:
         return connection
 
 
-def order(folder: Path, command: Command, *, key: str = "", until: int = 0) -> Status:
+def order(
+    folder: Path, command: Command, *, timeout_s: float = ORDER_S, **subject: Unpack[Subject]
+) -> Status:
     """Send one command to the engine of the run in ``folder``; raises `HilcellError`."""
     try:
-        client = EngineClient.of_run(folder, ORDER_S)
+        client = EngineClient.of_run(folder, timeout_s)
         if client is None:
             raise HilcellError(f"run {folder.name}: {_missing(folder)}", code="HC-J08")
         with closing(client):
-            return client.ask(command, key=key, until=until)
+            return client.ask(command, **subject)
     except EngineSilent as error:
         engine = read_engine_file(folder)
         process = "" if engine is None else f", process {engine.pid},"
         raise HilcellError(
             f"run {folder.name}: {command}: its engine{process} has not answered within "
-            f"{ORDER_S:.0f} s ({error.__cause__}): it is suspended, or the machine is overloaded; "
-            "if anything moves, use the E-stop",
+            f"{timeout_s:.0f} s ({error.__cause__}): it is suspended, or the machine is "
+            "overloaded; if anything moves, use the E-stop",
             code="HC-J08",
         ) from error
     except EngineLost as error:

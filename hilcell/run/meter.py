@@ -5,18 +5,22 @@ A reflector that is carried by hand is requested by a prompt; the tracker verifi
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from hilcell.calibration.controller_pose import check_pose
-from hilcell.cell.devices import two_face_tracker
+from hilcell.cell.devices import abilities, aiming_tracker, searching_tracker, two_face_tracker
 from hilcell.cell.file import Nest
 from hilcell.geometry.frames import inverse
-from hilcell.model.events import NoReadingOf, ReadingTime, ReflectorPlaced
+from hilcell.journal.log import world_key
+from hilcell.model.events import NoReadingOf, PlaceTaken, ReadingTime, ReflectorPlaced, Three
 from hilcell.model.point import Point, PointId, Readings
 from hilcell.ports import Array, DeviceError, NoReading, RobotReading, TrackerReading
+from hilcell.run.control import HERE, RELEASE, WIDER, Choice
 from hilcell.run.interlocks import check_held, check_strip, reading_time
 from hilcell.run.mover import Mover
-from hilcell.run.prompts import FLANGE, Prompt, Verification
+from hilcell.run.prompts import FLANGE, WIDER_MM, Prompt, Verification, where_looked
 
 
 class Meter(Mover):
@@ -46,19 +50,104 @@ class Meter(Mover):
                 failed, cause = error, error.of_point(key)
                 said, facts = str(error), cause.facts()
                 self.add(NoReadingOf(key=key, tries=tries, reason=said, error=facts))
-        limit_mm = self.cell.tracker.find_radius_mm
-        prompt = Prompt.failed_reading(self.cell, key, place, near_mm, limit_mm, failed)
-        self.ask(prompt, lambda: self._verify_reflector(key, near_mm), cause)
+        unproven = place in self._unframed and not self.log.points
+        if looked := where_looked(near_mm, failed):
+            cause.found += f"; expected {looked}"
+        self.ask(
+            Prompt.failed_reading(
+                self.cell,
+                key,
+                place,
+                near_mm,
+                self.cell.tracker.find_radius_mm,
+                failed,
+                choices=self._choices(place),
+                unproven=unproven,
+            ),
+            lambda: self._verify_reflector(key, near_mm),
+            cause,
+            {
+                RELEASE: self._release_beam,
+                HERE: lambda: self._take_place(HERE, key, place, near_mm),
+                WIDER: lambda: self._take_place(WIDER, key, place, near_mm),
+            },
+        )
         return None
+
+    # -- nests that are not where the cell file says --------------------------------------------
+
+    @property
+    def _unframed(self) -> set[str]:
+        """Return the nests whose places nobody has measured at this set-up of the tracker."""
+        layout, framed = self.cell.layout, world_key(self.log.set_ups.number) in self.log.frames
+        return {nest.name for nest in (layout.bar if framed else layout.fixed_nests)}
+
+    def _choices(self, place: str) -> tuple[Choice, ...]:
+        """Return the answers by which an operator takes another place for a nest."""
+        if place not in self._unframed:
+            return ()
+        able, found = abilities(self.cell), list[Choice]()
+        if able["tracker_aims"]:
+            found += [
+                Choice(RELEASE, "let go of the beam, to put it on the nest by hand"),
+                Choice(HERE, "take the place where the tracker points now"),
+            ]
+        if able["tracker_searches"]:
+            found.append(Choice(WIDER, f"search {WIDER_MM:.0f} mm around"))
+        return tuple(found)
+
+    def _release_beam(self) -> Verification:
+        try:
+            aiming_tracker(self.devices.tracker).release_beam()
+        except DeviceError as error:
+            return Verification.failed(error, self.clock.pc_s(), RELEASE)
+        return Verification(None, "", self.clock.pc_s(), choice=RELEASE)
+
+    def _take_place(self, how: str, key: str, place: str, near_mm: Array) -> Verification:
+        """Measure a nest wherever it is, and journal its place for the rest of the run."""
+        tracker, reflector = self.devices.tracker, self.cell.tracker.reflector
+
+        def take() -> TrackerReading:
+            if how == HERE:
+                return aiming_tracker(tracker).measure_aimed(reflector, 1)
+            return searching_tracker(tracker).search(near_mm, reflector, 1, WIDER_MM)
+
+        try:
+            reading = self._fresh_reading(key, take)
+        except DeviceError as error:
+            return Verification.failed(error, self.clock.pc_s(), how)
+        xyz_mm, off_mm = _three(reading.xyz_mm), float(np.linalg.norm(reading.xyz_mm - near_mm))
+        taken = PlaceTaken(
+            place=place,
+            how=how,
+            xyz_mm=xyz_mm,
+            expected_mm=_three(near_mm),
+            off_mm=off_mm,
+            set_up=self.log.set_ups.number,
+        )
+        self.add(taken)
+        return Verification(off_mm, "", reading.taken_s, xyz_mm, choice=how)
+
+    def _nest_near(self, nest: Nest) -> Array:
+        """Return where a floor nest (3,) is expected, tracker's frame, or where it was taken."""
+        near_mm: Array = self.frames.tracker_from_world(nest.xyz_mm)[0]
+        taken = self.log.taken.get(nest.name)
+        if taken is not None and taken.set_up == self.log.set_ups.number:
+            near_mm = np.array(taken.xyz_mm)
+        return near_mm
 
     def _reading(
         self, key: str, near_mm: Array, samples: int, *, back: bool = False
     ) -> TrackerReading:
         """Return one measurement; raises `NoReading`, and `DeviceError` for an older one."""
-        tracker = self.devices.tracker
+        tracker, reflector = self.devices.tracker, self.cell.tracker.reflector
         take = two_face_tracker(tracker).measure_back if back else tracker.measure
-        reflector, began_s = self.cell.tracker.reflector, self.clock.pc_s()
-        reading = take(near_mm, reflector, samples)
+        return self._fresh_reading(key, lambda: take(near_mm, reflector, samples))
+
+    def _fresh_reading(self, key: str, take: Callable[[], TrackerReading]) -> TrackerReading:
+        """Return a measurement; raises `DeviceError` for one that is older than its request."""
+        began_s = self.clock.pc_s()
+        reading = take()
         if not reading.taken_s >= began_s:
             raise DeviceError(
                 "HC-T31",
@@ -76,9 +165,8 @@ class Meter(Mover):
             reading = self._reading(key, near_mm, 1)
         except DeviceError as error:
             return Verification.failed(error, self.clock.pc_s())
-        x, y, z = (float(value) for value in reading.xyz_mm)
         off_mm = float(np.linalg.norm(reading.xyz_mm - near_mm))
-        return Verification(off_mm, "", reading.taken_s, (x, y, z))
+        return Verification(off_mm, "", reading.taken_s, _three(reading.xyz_mm))
 
     def record_point(
         self,
@@ -151,8 +239,8 @@ class Meter(Mover):
     def _measure_floor_nest(
         self, id: PointId, nest: Nest, samples: int, *, back: bool = False
     ) -> Point:
-        near_mm = self.frames.tracker_from_world(nest.xyz_mm)[0]
         while True:
+            near_mm = self._nest_near(nest)
             if reading := self.measure(id.key, nest.name, near_mm, samples, back=back):
                 return self.record_point(id, "", reading)
 
@@ -200,3 +288,8 @@ class Meter(Mover):
         near_mm = self.frames.tracker_from_world(nest.xyz_mm)[0]
         prompt = Prompt.swap(self.cell, place, nest.name, near_mm)
         self.ask(prompt, lambda: self._verify_reflector(f"verify {nest.name}", near_mm), None)
+
+
+def _three(at_mm: Array) -> Three:
+    x, y, z = (float(value) for value in at_mm)
+    return x, y, z

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Protocol
 
 import msgspec
 import numpy as np
@@ -47,10 +48,20 @@ from hilcell.run.interlocks import (
     reading_facts,
     reading_time,
 )
-from hilcell.run.prompts import Prompt, Verification
+from hilcell.run.prompts import NO_CHOICES, Prompt, Verification
 from hilcell.run.states import CALIBRATION, StateMachine
 
-Ask = Callable[[Prompt, Callable[[], Verification], NoReading | None], Verification]
+
+class Ask(Protocol):
+    """Suspends a run until the answer to a prompt, or that its cause is gone, is verified."""
+
+    def __call__(
+        self,
+        prompt: Prompt,
+        verify: Callable[[], Verification],
+        cause: NoReading | None,
+        choices: Mapping[str, Callable[[], Verification]] = NO_CHOICES,
+    ) -> Verification: ...
 
 
 class RunContext:

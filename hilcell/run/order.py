@@ -141,6 +141,11 @@ class Resume(Signature):
     retake: tuple[str, ...] = option(
         "re-measure this point, also of a finished run; repeatable", "KEY", default=()
     )
+    answer: str = option(
+        "answer the prompt of a live run by one of its choices: release, here, wider",
+        "CHOICE",
+        default="",
+    )
     json: bool = JSON_LINES
 
     def check(self, folder: Path, log: Log, *, operator_present: bool) -> ResumedRun:
@@ -156,6 +161,11 @@ class Resume(Signature):
         from hilcell.run.run_plan import Changes, ResumedRun, changed_inputs
         from hilcell.run.states import retake_refusal
 
+        if self.answer:
+            raise HilcellError(
+                f"run {folder.name}: no engine is running that asks; resume it without --answer",
+                code="HC-J08",
+            )
         retakes = [key for key in self.retake if key not in log.retakes]
         if refusals := [why for key in retakes if (why := retake_refusal(log, key))]:
             raise HilcellError("\n".join(refusals))

@@ -29,7 +29,7 @@ from hilcell.ports import HilcellError, NoReading, StripLost
 from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_slide_travel
-from hilcell.run.prompts import Prompt, Verification
+from hilcell.run.prompts import NO_CHOICES, Prompt, Verification
 from hilcell.run.watch import RemeasureStep
 
 Result: TypeAlias = Mapping[str, object]  # by their keys in JSON: Structs, or what they are made of
@@ -271,6 +271,9 @@ def run_in_process(
 
 
 def _no_operator(
-    prompt: Prompt, verify: Callable[[], Verification], cause: NoReading | None
+    prompt: Prompt,
+    verify: Callable[[], Verification],
+    cause: NoReading | None,
+    choices: Mapping[str, Callable[[], Verification]] = NO_CHOICES,
 ) -> Verification:
     raise prompt.unanswered(cause) from cause

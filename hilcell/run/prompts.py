@@ -7,24 +7,30 @@ place: earlier measurements verify nothing. The worker measures, answers come fr
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import NamedTuple
 
 import msgspec
+import numpy as np
 
 from hilcell.alarms.catalogue import entry_of
 from hilcell.cell.file import Cell
 from hilcell.errors import DeviceError, NoReading
 from hilcell.ports import Array, Clock
-from hilcell.run.control import PromptStatus
+from hilcell.run.control import RELEASE, Choice, PromptStatus
 
 POLL_S = 0.5
+WIDER_MM = 300.0
 
 
 class Prompt(msgspec.Struct, frozen=True, kw_only=True):
     """The reflector must be within ``limit_mm`` of ``expected_mm``, tracker's frame; None for the
-    strip. ``by_itself``: no answer is needed once the verification passes.
+    strip. ``by_itself``: no answer is needed once the verification passes. ``choices`` are other
+    answers than "done"; after `RELEASE` the tracker is left alone until the next answer.
+    ``unproven``: nobody has shown that the cell file fits the hall, so no run waits unattended.
     """
 
     title: str
@@ -34,6 +40,8 @@ class Prompt(msgspec.Struct, frozen=True, kw_only=True):
     limit_mm: float
     reason: str
     by_itself: bool = False
+    choices: tuple[Choice, ...] = ()
+    unproven: bool = False
 
     @classmethod
     def placement(
@@ -72,7 +80,16 @@ class Prompt(msgspec.Struct, frozen=True, kw_only=True):
 
     @classmethod
     def failed_reading(
-        cls, cell: Cell, key: str, place: str, near_mm: Array, limit_mm: float, error: NoReading
+        cls,
+        cell: Cell,
+        key: str,
+        place: str,
+        near_mm: Array,
+        limit_mm: float,
+        error: NoReading,
+        *,
+        choices: tuple[Choice, ...] = (),
+        unproven: bool = False,
     ) -> Prompt:
         """Return the prompt after failed readings of a reflector.
 
@@ -81,24 +98,34 @@ class Prompt(msgspec.Struct, frozen=True, kw_only=True):
         entry = entry_of(error.code, error.device)
         found = entry.title if entry.specific else error.found
         advice = _advice(error)
+        text = f"{found}, at {_where(cell, place)}. {advice[:1].upper()}{advice[1:]}."
+        if looked := where_looked(near_mm, error):
+            text += f" Expected {looked}."
         return cls(
             title=f"No good reading of {place}",
-            text=f"{found}, at {_where(cell, place)}. {advice[:1].upper()}{advice[1:]}.",
+            text=text,
             place=place,
             expected_mm=_rounded(near_mm),
             limit_mm=limit_mm,
             reason=f"{key}: {error.summary}",
+            choices=choices,
+            unproven=unproven,
         )
 
     def passed_by(self, result: Verification) -> bool:
-        """Whether the reflector is at the requested place; NaN never passes."""
-        return result.seen_mm is not None and result.seen_mm <= self.limit_mm
+        """Whether the reflector is at the requested place, or at the one that was chosen; NaN never
+        passes.
+        """
+        limit_mm = np.inf if result.choice else self.limit_mm
+        return result.seen_mm is not None and result.seen_mm <= limit_mm
 
     def refusal(self, result: Verification, lost: Mapping[str, DeviceError]) -> str:
         """Return the refusal of an answer; ``lost`` are the devices that do not answer, by name."""
         if lost:
             found = "; ".join(f"{name} is lost: {error.summary}" for name, error in lost.items())
             return f"{found}; repair that; if it stays lost, stop the run and resume it"
+        if result.choice:
+            return result.reason
         if self.by_itself or self.expected_mm is None:
             return f"{self.place} is not as it was: {result.reason}"
         if result.seen_mm is None:
@@ -118,7 +145,7 @@ class Prompt(msgspec.Struct, frozen=True, kw_only=True):
             cause.operation,
             cause.found,
             expected=cause.expected,
-            act=_advice(cause),
+            act=UNPROVEN if self.unproven else _advice(cause),
             fields=cause.fields,
         )
 
@@ -128,6 +155,7 @@ class Verification:
     """The distance from the expected place, or the reason why nothing was measured.
 
     For the strip it is the distance from the drive's position. ``lost``: the device did not answer.
+    ``choice``: the answer that was verified, "" for "done".
     """
 
     seen_mm: float | None
@@ -135,10 +163,27 @@ class Verification:
     taken_s: float
     xyz_mm: tuple[float, float, float] | None = None
     lost: bool = False
+    choice: str = ""
+
+    @property
+    def released(self) -> bool:
+        """Whether the beam was let go, and the prompt waits for another answer."""
+        return self.choice == RELEASE and not self.reason
 
     @classmethod
-    def failed(cls, error: DeviceError, at_s: float) -> Verification:
-        return cls(None, error.summary, at_s, lost=not isinstance(error, NoReading))
+    def failed(cls, error: DeviceError, at_s: float, choice: str = "") -> Verification:
+        lost = not isinstance(error, NoReading)
+        return cls(None, error.summary, at_s, lost=lost, choice=choice)
+
+
+class Answer(NamedTuple):
+    """An answer that waits: its choice, "" for "done", and what takes its refusal, or ""."""
+
+    choice: str
+    refusal: Future[str]
+
+
+NO_CHOICES: Mapping[str, Callable[[], Verification]] = MappingProxyType({})
 
 
 class PendingPrompt:
@@ -149,18 +194,22 @@ class PendingPrompt:
         self._asked = threading.Event()
         self._prompt: Prompt | None = None
         self._verification: Verification | None = None
-        self._answers: list[Future[str]] = []
+        self._answers: list[Answer] = []
 
     # -- any thread ---------------------------------------------------------------------------
 
-    def answer(self) -> Future[str]:
-        """Report that it is done; the future holds the refusal, or ""."""
+    def answer(self, choice: str = "") -> Future[str]:
+        """Report that it is done, or a choice; the future holds the refusal, or ""."""
         future: Future[str] = Future()
         with self._lock:
+            known = [] if self._prompt is None else [each.name for each in self._prompt.choices]
             if self._prompt is None:
                 future.set_result("nothing is asked now")
+            elif choice and choice not in known:
+                words = f"one of {', '.join(known)}" if known else "none"
+                future.set_result(f"answer: expected {words}, got {choice[:80]!r}")
             else:
-                self._answers.append(future)
+                self._answers.append(Answer(choice, future))
                 self._asked.set()
         return future
 
@@ -181,6 +230,7 @@ class PendingPrompt:
             seen_mm=seen_mm,
             age_s=age_s,
             ready=result is not None and prompt.passed_by(result),
+            choices=prompt.choices,
         )
 
     # -- the worker's thread ------------------------------------------------------------------
@@ -189,7 +239,7 @@ class PendingPrompt:
         with self._lock:
             self._prompt, self._verification = prompt, None
 
-    def take_answers(self, limit_s: float) -> list[Future[str]]:
+    def take_answers(self, limit_s: float) -> list[Answer]:
         """Wait at most ``limit_s`` for answers, and take those that came."""
         self._asked.wait(limit_s)
         with self._lock:
@@ -214,7 +264,34 @@ class PendingPrompt:
             answers, self._answers = self._answers, []
             self._prompt = self._verification = None
         for answer in answers:
-            answer.set_result(reason)
+            answer.refusal.set_result(reason)
+
+
+UNPROVEN = (
+    "nobody has shown yet that the cell file fits the hall: start the run attended and take the "
+    "place of the nest there, or correct tracker.pose and [[layout.floor]]"
+)
+
+
+def where_looked(near_mm: Array, error: NoReading) -> str:
+    """Return where a reflector was expected, and where and how far a tracker has searched for it.
+
+    ``near_mm`` (3,), tracker's frame. "" where the driver does not state it.
+    """
+    searched_mm, beam = error.fields.get("searched_mm"), error.fields.get("beam")
+    if not isinstance(searched_mm, int | float):
+        return ""
+    text = f"at {_shown(near_mm)}, searched {searched_mm:.0f} mm around"
+    if not isinstance(beam, list):
+        return text
+    looked_mm = float(np.linalg.norm(near_mm)) * np.array(beam, dtype=float)
+    beside_mm = float(np.linalg.norm(looked_mm - near_mm))
+    return f"{text}; the beam looks at {_shown(looked_mm)}, {beside_mm:.0f} mm beside"
+
+
+def _shown(at_mm: Array) -> str:
+    x, y, z = at_mm
+    return f"x {x:.0f}, y {y:.0f}, z {z:.0f} mm of the tracker"
 
 
 def _advice(error: NoReading) -> str:

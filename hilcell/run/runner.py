@@ -151,9 +151,11 @@ class Runner:
             return "a motion was announced since you were asked; nothing was done, ask again"
         return ""
 
-    def answer(self) -> str:
-        """Answer the prompt; wait for its verification; return the refusal, else ""."""
-        return self._pending.answer().result()
+    def answer(self, choice: str = "") -> str:
+        """Answer the prompt by "done" or a choice; wait for its verification; return the refusal,
+        else "".
+        """
+        return self._pending.answer(choice).result()
 
     def retake(self, key: str) -> str:
         """Request that a point is re-measured next; return the refusal, else ""."""

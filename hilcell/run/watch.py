@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from itertools import combinations
 from typing import NamedTuple, NoReturn
 
@@ -28,6 +28,7 @@ import numpy as np
 
 from hilcell.calibration.diagnosis import NOTICED_BY, reference_c
 from hilcell.calibration.frames import world_from_tracker
+from hilcell.calibration.misplaced_nests import misplaced_nest, other_reflector
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import BeamNoise, coverage_factor, lengths_mm
@@ -139,7 +140,7 @@ class Watch(Meter):
         nests = self._measured(ids)
         measured_mm = positions_mm(nests)
         if not number:
-            check_places(cell, measured_mm)
+            check_places(cell, measured_mm, taken=self.log.taken)
             check_distances(cell, measured_mm)
             self._check_before(nests)
         elif any(self._changes(nests)):
@@ -523,8 +524,8 @@ def some_unmoved(before: Sequence[Point], now: Sequence[Point]) -> bool:
     return bool(np.any(off_mm <= ALIKE * off_mm.max()))
 
 
-def check_places(cell: Cell, measured_mm: Array) -> None:
-    """Refuse nests measured outside their search radius.
+def check_places(cell: Cell, measured_mm: Array, *, taken: Container[str] = ()) -> None:
+    """Refuse nests measured outside their search radius, besides those whose place was ``taken``.
 
     Positions show two swapped nests of a symmetric triangle; distances do not.
     """
@@ -533,7 +534,7 @@ def check_places(cell: Cell, measured_mm: Array) -> None:
     expected_mm = apply(inverse(cell.tracker.pose.matrix()), nominal_mm)
     off_mm = np.linalg.norm(measured_mm[:, None] - expected_mm[None], axis=-1)
     for nest, row_mm, found_mm in zip(nests, off_mm, np.diag(off_mm), strict=True):
-        if found_mm <= limit_mm:
+        if found_mm <= limit_mm or nest.name in taken:
             continue
         near = zip(nests, row_mm, strict=True)
         at = [other.name for other, each_mm in near if each_mm <= limit_mm]
@@ -559,14 +560,21 @@ def check_distances(cell: Cell, measured_mm: Array) -> None:
     nominal_mm = np.array([nest.xyz_mm for nest in cell.layout.floor])
     limit_mm = 2 * cell.layout.nest_tolerance_mm
     for wrong in wrong_distances(cell, nominal_mm, measured_mm, limit_mm):
+        act = "nests swapped, a reflector not seated, or wrong units; check, then resume"
+        fields, one = wrong._asdict(), misplaced_nest(cell, measured_mm, limit_mm)
+        if reflector := other_reflector(cell, measured_mm, limit_mm):
+            act = reflector
+        elif one is not None:
+            act = one.text
+            fields |= {"nest": one.name, "off_mm": one.off_mm, "world_mm": one.world_mm.tolist()}
         raise DeviceError(
             "HC-T32",
             "Tracker",
             "world frame",
             f"{wrong.names} is {wrong.distance_mm:.2f} mm",
             expected=f"{wrong.wanted_mm:.2f} +-{limit_mm:.1f} mm",
-            act="nests swapped, a reflector not seated, or wrong units; check, then resume",
-            fields=wrong._asdict(),
+            act=act,
+            fields=fields,
         )
 
 

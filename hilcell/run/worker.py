@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable
-from concurrent.futures import Future
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from typing import NamedTuple
@@ -20,9 +19,9 @@ from hilcell.model.events import AnswerRefused, ChangesAccepted, Connected, Devi
 from hilcell.ports import Clock, DeviceError, Identity, NoReading, Stopped
 from hilcell.run.cell_lock import lock_of_device, locked
 from hilcell.run.cell_session import CellSession
-from hilcell.run.control import PromptStatus
+from hilcell.run.control import HERE, RELEASE, PromptStatus
 from hilcell.run.device_status import CellMonitor
-from hilcell.run.prompts import POLL_S, PendingPrompt, Prompt, Verification
+from hilcell.run.prompts import NO_CHOICES, POLL_S, Answer, PendingPrompt, Prompt, Verification
 from hilcell.run.run_plan import RunPlan, changed_assets
 
 REST_S = 0.02
@@ -303,29 +302,36 @@ class Worker:
     # -- prompts ------------------------------------------------------------------------------
 
     def _ask(
-        self, prompt: Prompt, verify: Callable[[], Verification], cause: NoReading | None
+        self,
+        prompt: Prompt,
+        verify: Callable[[], Verification],
+        cause: NoReading | None,
+        choices: Mapping[str, Callable[[], Verification]] = NO_CHOICES,
     ) -> Verification:
         """Prompt the operator until the answer is verified; return that verification.
 
-        Unattended, only a failed reading waits for a verification; without one it is a fault.
+        ``choices`` verify the other answers of the prompt, by their names. Unattended, only a
+        failed reading waits for a verification; without one it is a fault.
         """
-        if self._unattended and (cause is None or self._wait.over):
+        if self._unattended and (cause is None or prompt.unproven or self._wait.over):
             raise prompt.unanswered(cause) from cause
         self.may_proceed.clear()
         self.pending.open(prompt)
         self._send(Asked(prompt, cause))
         self._wait.begin()
-        polled_s = -POLL_S
+        polled_s, aimed_by_hand = -POLL_S, False
         while True:
             self._at_rest()
             if self._unattended:
                 answers, due = self.pending.take_answers(0.0), self._wait.poll_due()
             else:
                 answers = self.pending.take_answers(REST_S)
-                due = time.monotonic() - polled_s >= POLL_S
+                due = not aimed_by_hand and time.monotonic() - polled_s >= POLL_S
             if not (answers or due):
                 continue
-            result, verified = self._verify(prompt, verify, answers)
+            chosen = next((each.choice for each in answers if each.choice), "")
+            aimed_by_hand = chosen == RELEASE or (aimed_by_hand and chosen == HERE)
+            result, verified = self._verify(prompt, choices.get(chosen, verify), answers)
             polled_s = time.monotonic()
             if verified:
                 self.pending.close("another answer came first")
@@ -336,7 +342,7 @@ class Worker:
                 raise prompt.unanswered(cause) from cause
 
     def _verify(
-        self, prompt: Prompt, verify: Callable[[], Verification], answers: list[Future[str]]
+        self, prompt: Prompt, verify: Callable[[], Verification], answers: list[Answer]
     ) -> tuple[Verification, bool]:
         """Verify, and judge the answers that came before; return whether the run continues.
 
@@ -354,10 +360,12 @@ class Worker:
                 while not self.may_proceed.wait(REST_S):
                     self._check_end()
                 why = ""
+            elif result.released:
+                why = ""
             elif answers:
                 why = prompt.refusal(result, self._lost)
                 self._journal.append("event", "", AnswerRefused(reason=why))
         finally:
             for answer in answers:
-                answer.set_result(why)
+                answer.refusal.set_result(why)
         return result, verified

@@ -69,10 +69,11 @@ ACTIONS = (
     Action("quit", ("ctrl+q", "ctrl+c"), "quit", "leave; over a live run it asks", everywhere=True),
 )
 BY_NAME = {action.name: action for action in ACTIONS}
+CHOICE_KEYS = ("1", "2", "3")  # answers to a prompt, in its order
 # Keys with a fixed meaning: to move, to choose, to go back, to open the palette.
 RESERVED = (
     "enter", "tab", "shift+tab", "up", "down", "left", "right", "pageup", "pagedown", "home",
-    "end", "backspace", "q", "ctrl+p", "y",
+    "end", "backspace", "q", "ctrl+p", "y", *CHOICE_KEYS,
     "ctrl+h", "ctrl+i", "ctrl+j", "ctrl+m",  # what terminals send for Backspace, Tab and Enter
 )  # fmt: skip
 NAMED = (

@@ -25,6 +25,7 @@ from hilcell.journal.journal import Record, StorageError, is_regular_file, read_
 from hilcell.journal.runs import CALIBRATION, JOURNAL
 from hilcell.model.events import AlarmsAcknowledged
 from hilcell.run.control import (
+    MEASURED_S,
     Command,
     EngineClient,
     EngineLost,
@@ -190,7 +191,7 @@ def utc_now() -> datetime:
 class Session:
     """Follows one run and sends commands to its engine."""
 
-    TIMEOUT_S: ClassVar[dict[Command, float]] = {"answer": 30.0}  # the tracker measures first
+    TIMEOUT_S: ClassVar[dict[Command, float]] = {"answer": MEASURED_S}
 
     def __init__(
         self,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
@@ -14,7 +14,7 @@ from hilcell.journal.log import Log
 from hilcell.ports import DeviceError, HilcellError, NoReading
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import MemoryJournal, run_in_process
-from hilcell.run.prompts import Prompt, Verification
+from hilcell.run.prompts import NO_CHOICES, Prompt, Verification
 from procedures.reflectors import REFLECTORS
 
 CELL = load_cell("paper")
@@ -29,11 +29,14 @@ def carried(folder: Path, different: str) -> tuple[Log, list[str]]:
     tracker = simulated.tracker._truth.tracker  # type: ignore[attr-defined] # the simulated one
 
     def ask(
-        prompt: Prompt, look: Callable[[], Verification], cause: NoReading | None
+        prompt: Prompt,
+        verify: Callable[[], Verification],
+        cause: NoReading | None,
+        choices: Mapping[str, Callable[[], Verification]] = NO_CHOICES,
     ) -> Verification:
         titles.append(prompt.title)
         tracker._offset_mm = LONG_MM if f" of {different} " in prompt.title else 0.0
-        return look()
+        return verify()
 
     journal = MemoryJournal(folder, "2026-01-01T00:00:00.000Z")
     plan = REFLECTORS.plan(CELL, 1)

@@ -16,6 +16,7 @@ from hilcell.journal.log import RunJournal
 from hilcell.ports import Array, Clock
 from hilcell.run.cell_session import CellSession
 from hilcell.run.mover import SweepCommand
+from hilcell.run.prompts import NO_CHOICES
 from hilcell.run.stopping import SafeStop, close_all
 
 START_RAD = np.radians([-10.0, -100.0, 110.0, 5.0, 40.0, 20.0])
@@ -67,7 +68,7 @@ class Engine:
             Watched(clock, self._waited),
             journal,
             checkpoint=clock.check,
-            ask=lambda prompt, look, error: look(),
+            ask=lambda prompt, verify, cause, choices=NO_CHOICES: verify(),
         )
 
     def stop_all(self) -> None:

@@ -17,6 +17,7 @@ from textual.widget import Widget
 from textual.widgets import Input
 
 from hilcell.errors import HilcellError
+from hilcell.run.control import RELEASE, Subject
 from hilcell.tui import process
 from hilcell.tui.keys import BY_NAME, Keymap, shown
 from hilcell.tui.process import run_in_thread
@@ -28,7 +29,7 @@ from hilcell.tui.widgets import TextPanel
 if TYPE_CHECKING:
     from subprocess import Popen
 
-    from hilcell.run.control import Command, Subject
+    from hilcell.run.control import Command
     from hilcell.tui.run_view import RunView
     from hilcell.tui.session import Session
     from hilcell.tui.text.alarms import AlarmContext
@@ -236,15 +237,18 @@ class Application(App[int]):
             lambda: self._command("abort"),
         )
 
-    def answer_prompt(self) -> None:
-        """Answer the prompt, where the engine answers and the tracker sees the reflector."""
+    def answer_prompt(self, number: int = 0) -> None:
+        """Answer the prompt, where the engine answers and the tracker sees the reflector.
+
+        ``number`` is that of a choice, from 1; 0 is "done".
+        """
         session = self.shown_session
         prompt = session.view.prompt
-        if prompt is None:
+        if prompt is None or number > len(prompt.choices):
             return
         if refused := no_answer_reason(session.view):
             self.show_notice(refused)
-        elif prompt.check and not prompt.ready:
+        elif prompt.check and not prompt.ready and not number:
             from hilcell.tui.text.prompt import lost_devices
 
             lost = lost_devices(session.view)
@@ -253,9 +257,10 @@ class Application(App[int]):
                 waits = f"no device is lost; now: {lost}"
             self.show_notice(f"Enter works once {waits}", for_now=True)
         elif not self.key_is_deliberate:
-            self.show_notice("Enter was ignored, as part of a burst of keys: press it alone")
+            self.show_notice("the key was ignored, as part of a burst of keys: press it alone")
         else:
-            self.start_task(self._ask_once_more(session))
+            choice = prompt.choices[number - 1].name if number else ""
+            self.start_task(self._ask_once_more(session, choice))
 
     def retake(self, key: str) -> None:
         """Re-measure a point: in the live run, or by opening a finished one again."""
@@ -299,10 +304,12 @@ class Application(App[int]):
 
         self.start_task(watch())
 
-    async def _ask_once_more(self, session: Session) -> None:
+    async def _ask_once_more(self, session: Session, choice: str) -> None:
         self.show_notice("the tracker measures once more ...")
-        await run_in_thread(session.ask, "answer")
-        self.show_notice("")
+        subject: Subject = {"choice": choice} if choice else {}
+        await run_in_thread(session.ask, "answer", **subject)
+        released = "the beam is free: put it on the nest, then take its place"
+        self.show_notice(released if choice == RELEASE else "")
 
     def _command(self, command: Command, **subject: Unpack[Subject]) -> None:
         """Send a command to the engine from another thread: keys do not wait."""

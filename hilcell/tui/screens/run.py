@@ -13,7 +13,7 @@ from textual.content import Content
 from textual.widgets import Input
 
 from hilcell.alarms import Latched
-from hilcell.tui.keys import shown
+from hilcell.tui.keys import CHOICE_KEYS, shown
 from hilcell.tui.layout import Drawing, Lines, Stack, ends
 from hilcell.tui.plots import Scale
 from hilcell.tui.process import run_in_thread
@@ -53,6 +53,7 @@ class RunScreen(FilterScreen):
     fixed: ClassVar[tuple[tuple[str, str], ...]] = (
         ("▲▼", "choose a point"),
         ("Enter", "open the point, or answer the question"),
+        *((key, f"answer {key} of the question, where it has some") for key in CHOICE_KEYS),
         ("q", "back from the points to the verdict or the alarm, or to the run behind"),
     )
     HORIZONTAL_BREAKPOINTS = [  # noqa: RUF012 - as Textual has it
@@ -68,6 +69,7 @@ class RunScreen(FilterScreen):
     ]
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("enter", "enter", "answer", show=False),
+        *(Binding(key, f"choice({key})", show=False) for key in CHOICE_KEYS),
         Binding("q,backspace", "back", show=False, priority=True),
     ]
 
@@ -294,6 +296,9 @@ class RunScreen(FilterScreen):
 
     def action_enter(self) -> None:
         self._enter(self.query_one(Table).key)
+
+    def action_choice(self, number: int) -> None:
+        self.application.answer_prompt(number)
 
     def on_table_row_selected(self, message: Table.RowSelected) -> None:
         self._enter(message.key)

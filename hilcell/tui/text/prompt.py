@@ -27,6 +27,7 @@ from hilcell.model.events import StationHeld
 from hilcell.ports import Array
 from hilcell.run.control import PromptStatus
 from hilcell.sanitize import harmless
+from hilcell.tui.keys import CHOICE_KEYS
 from hilcell.tui.layout import BLANK, Cell, Col, Drawing, Grid, Lines, large
 from hilcell.tui.plots import Canvas, step_at_most
 from hilcell.tui.run_view import RunView
@@ -102,10 +103,16 @@ class PromptText:
 
     def task(self, *, low: bool = False) -> Lines:
         """Return the task, how far the reflector is off, and whether it is visible."""
-        place, off, seen = self._place(), [], []
+        place, off, seen, low = self._place(), [], [], low or bool(self.prompt.choices)
         if self.prompt.check:
             off, seen = self._off(low=low), self._visibility()
-        lines = [*place[-2:], *off, *seen] if low else [*place, BLANK, *off, BLANK, *seen]
+        choices = [
+            Content.assemble((f" {key} ", "bold $foreground on $badge"), f" {choice.text}")
+            for key, choice in zip(CHOICE_KEYS, self.prompt.choices, strict=False)
+        ]
+        lines = [*place[-2:], *choices, *off, *seen]
+        if not low:
+            lines = [*place, BLANK, *off, BLANK, *seen]
         return Grid([[line] for line in lines], Col(grows=True))
 
     def _place(self) -> list[Content]:

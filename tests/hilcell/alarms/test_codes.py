@@ -122,6 +122,7 @@ ORDINARY = {
     "retake asked",
     "visited once more",
     "seated",
+    "place taken",
     "screen back",
     "acknowledged",
     "device back",

@@ -189,12 +189,14 @@ def waiting(limit_s: float) -> Cell:
     return msgspec.structs.replace(CELL, plan=plan)
 
 
-def broken_beam(times: int) -> Callable[[], None]:
-    """Return an answer of the tracker that fails so many times."""
-    left = [times]
+def broken_beam(times: int, *, after: int = 0) -> Callable[[], None]:
+    """Return an answer of the tracker that fails so many times, ``after`` good ones."""
+    left, good = [times], [after]
 
     def answer() -> None:
-        if left[0]:
+        if good[0]:
+            good[0] -= 1
+        elif left[0]:
             left[0] -= 1
             raise NoReading("HC-T10", "Tracker", "measure", "beam broken")
 

@@ -58,8 +58,8 @@ class Recorder:
         self.told.append(f"gone on since {since}")
         return self.refusal
 
-    def answer(self) -> str:
-        self.told.append("answer")
+    def answer(self, choice: str) -> str:
+        self.told.append(f"answer {choice}".rstrip())
         return self.refusal
 
     def retake(self, key: str) -> str:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import msgspec
 import pytest
 
+from hilcell.run.control import Choice
 from hilcell.tui.keys import ACTIONS
 from hilcell.tui.run_view import EngineState, RunView
 from hilcell.tui.screens.base import BaseScreen, Confirm
@@ -395,6 +396,33 @@ async def test_enter_answers_a_prompt_only_when_it_is_ready(
     assert isinstance(app.screen, RunScreen)
     assert ("Enter works once" in text_of(app)) is not answered
     assert app.recorded.asked == ([("answer", {})] if answered else [])
+
+
+CHOICES = (
+    Choice("release", "let go of the beam, to put it on the nest by hand"),
+    Choice("here", "take the place where the tracker points now"),
+    Choice("wider", "search 300 mm around"),
+)
+
+
+@pytest.mark.parametrize("size", [(80, 24), (120, 40)])
+def test_a_digit_answers_by_a_choice_of_the_prompt_though_nothing_is_seen(
+    size: tuple[int, int],
+) -> None:
+    async def act(app: Stage, pilot: Press) -> None:
+        shown = text_of(app)
+        for choice in CHOICES:
+            assert choice.text[:20] in shown
+        await press(pilot, "2")
+        assert app.recorded.asked == [("answer", {"choice": "here"})]
+
+    run_app(act, update=asking(ready=False, seen_mm=None, choices=CHOICES), size=size)
+
+
+@on_screen("suspended")
+async def test_a_digit_without_a_choice_answers_nothing(app: Stage, pilot: Press) -> None:
+    await press(pilot, "1", "2", "3")
+    assert app.recorded.asked == []
 
 
 @on_screen("suspended")
