@@ -325,11 +325,11 @@ def test_a_jog_ends_at_its_distance_or_its_bound_and_the_session_goes_on(
     assert bench.kuka.variables["HC_VEL"] == "1"  # of 1890 mm/s, in whole percents
     assert bench.kuka.variables["HC_HELD"] == "TRUE"
     assert ("write HC_STOP" in bench.kuka.requests) is bool(stopped_by)
+    bench.robot.move_to(TARGET_RAD, 30.0)  # carries the slide's place
+    assert f"E1 {trace.drive_mm[-1]:.6f}" in bench.kuka.variables["HC_TGT"]
     back = jogs.jog(-1.0, bound_mm=50.0, speed_mm_s=1.0)  # at 1 %
     assert back.drive_mm[-1] == pytest.approx(trace.drive_mm[-1] - 1.0)
     assert set(back.velocity_mm_s) == {0.0, 18.9}
-    assert f"E1 {back.drive_mm[-1]:.6f}" in bench.kuka.variables["HC_TGT"]
-    bench.robot.move_to(TARGET_RAD, 30.0)  # carries the slide's place
     assert f"E1 {back.drive_mm[-1]:.6f}" in bench.kuka.variables["HC_TGT"]
 
 
