@@ -30,18 +30,23 @@ from hilcell.wire.channel import parse_channel
 
 LOST = 1 << 16  # beside the sensor's own alarm bits, of which there are 16
 
-CountsPerMm = Annotated[float, Meta(gt=0, le=1e6)]  # of a strip: 1 nm and more
+CountsPerMm = Annotated[float, Meta(ge=-1e6, le=1e6)]  # of a strip: 1 nm and more
 Positive = Annotated[float, Meta(gt=0)]
 NodeNumber = Annotated[int, Meta(ge=1, le=127)]
 U32 = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 
 
 class StripOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A strip's wire and scale: a serial line, or a CAN bus that is not the drive's."""
+    """A strip's wire and scale: a serial line, or a CAN bus that is not the drive's.
+
+    A negative scale counts down where the slide moves up. ``zero_mm``: the strip's reading,
+    by this scale, with the slide at 0 of its travel.
+    """
 
     driver: Literal["serial", "canopen"]
     channel: str
     counts_per_mm: CountsPerMm = 100.0
+    zero_mm: float = 0.0
     serial: U32 = 0  # of the sensor; 0: any
     interface: Interface = "slcan"  # from here on: of a CAN bus
     bitrate: int = 500_000
@@ -50,6 +55,8 @@ class StripOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     product: U32 = 0x406
 
     def __post_init__(self) -> None:
+        if not self.counts_per_mm:
+            raise ValueError("counts_per_mm must not be 0")
         if self.driver == "serial":
             plain = {each.name: each.default for each in msgspec.structs.fields(StripOptions)}
             for key in ("interface", "bitrate", "node", "vendor", "product"):
@@ -58,6 +65,16 @@ class StripOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
             parse_channel(self.channel)
         else:
             refuse(bus_problems(self.interface, self.channel, self.bitrate))
+
+    @property
+    def scale(self) -> float:
+        """Return the counts a mm, without their sign."""
+        return abs(self.counts_per_mm)
+
+    def counts(self, of_sensor: int) -> int:
+        """Return counts that rise with the travel, 0 at its zero."""
+        counts = of_sensor if self.counts_per_mm > 0 else -of_sensor
+        return counts - round(self.zero_mm * self.scale)
 
 
 class SerialStrip:
@@ -101,7 +118,7 @@ class SerialStrip:
         check()
         counts = int(self._ask("Z", r"[+-]\d{6,9}"))
         check()
-        return counts, int(self._ask("X", r"0x[0-9a-fA-F]{2}"), 16)
+        return self._options.counts(counts), int(self._ask("X", r"0x[0-9a-fA-F]{2}"), 16)
 
     def alarm_text(self, alarms: int) -> str:
         bits = [bit for bit in range(16) if alarms >> bit & 1]
@@ -160,10 +177,10 @@ class StripNode(Node):
 
     def __init__(self, link: CanLink, options: StripOptions, check: Callable[[], None]) -> None:
         o, objects = options, (Object.STRIP_POSITION, Object.STRIP_ALARMS)
-        expected = Expected("strip", o.node, cia.STRIP_PROFILE, o.vendor, o.product, o.serial)
+        expected = Expected("strip", o.node, cia.ENCODER_PROFILE, o.vendor, o.product, o.serial)
         super().__init__(link, expected, check, in_pdo=cia.SENSOR_ERRORS)
         self.pdo = Pdo(0x1800, 0x180 + o.node, Transmission.EVERY_SYNC, objects, "<iH")
-        self._counts_per_mm = o.counts_per_mm
+        self._options = options
         self._has_alarms = True  # it has alarms of its own
 
     def identify(self, address: str) -> Identity:
@@ -173,7 +190,7 @@ class StripNode(Node):
 
     def _check_step(self) -> None:
         """Refuse a strip whose step, where it has one, is not that of the cell file."""
-        expected_nm = cia.step_nm(self._counts_per_mm)
+        expected_nm = cia.step_nm(self._options.scale)
         for found_nm, where in (
             (self._step(), "6005h"),
             (self.sdo.read_if_present(Object.POSITION_STEP), "6501h"),
@@ -223,7 +240,7 @@ class StripNode(Node):
         counts, *alarms = values[self.pdo.cob_id]
         if not self._has_alarms and self.sensor_fails:
             alarms.append(cia.POSITION_ERROR)
-        return counts, reduce(or_, alarms, 0)
+        return self._options.counts(counts), reduce(or_, alarms, 0)
 
 
 class CanopenStrip:

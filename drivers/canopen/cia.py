@@ -91,7 +91,6 @@ class Mode(IntEnum):
 class Option(IntEnum):
     """Values of objects that are options."""
 
-    HOME_NEGATIVE_LIMIT = 17  # 6098h
     # 605Ah: then switch on disabled, so that the brake closes. 605Eh: then fault.
     SLOW_DOWN_RAMP = 1  # 6084h
     QUICK_STOP_RAMP = 2  # 6085h
@@ -173,7 +172,7 @@ def enables(controlword: int) -> bool:
     return controlword & 0x0F in (Control.SWITCH_ON, Control.ENABLE_OPERATION)
 
 
-STRIP_PROFILE = 0x0196  # low word of 1000h: 406 decimal
+DRIVE_PROFILE, ENCODER_PROFILE = 402, 406  # low word of 1000h
 SENSOR_ERRORS = 0x73  # family of the EMCY that announces an alarm
 POSITION_ERROR = 1 << 0  # of 6503h
 

@@ -8,27 +8,83 @@ than real time.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import Literal, cast
 
 import numpy as np
 
 from drivers.canopen import cia
-from drivers.canopen.cia import Bit, Control, Mode, Object, Option, State
+from drivers.canopen.cia import Bit, Control, Mode, Object, State
+from drivers.canopen.drive_units import DriveUnits
 from drivers.canopen.motion_guard import OVERSPEED, Limits, MotionGuard
+from drivers.canopen.nodes import Homing
 from drivers.canopen.process_image import NO_MODE, SYNCS, ProcessImage, Snapshot
 from drivers.canopen.sdo import Aborted, SdoChannel, Unsupported
 from drivers.device_errors import RAIL, Device
-from drivers.slide import SlideMonitor
+from drivers.slide import SlideMonitor, Standstill
 from drivers.supervision import MotionLimits, Watchdog, polls
-from hilcell.ports import Clock, DeviceError
+from hilcell.ports import Array, Clock, DeviceError
+
+
+@dataclass(slots=True)
+class Jog:
+    """A small motion while scales, signs and units are not proved: its bound and its polls.
+
+    Distances are mm by the options' scales. Whichever of drive and strip is further counts, and the
+    fastest of their changes and 606Ch. So the quick stop goes out while the slide can still stop
+    within the bound, also where one of the scales or the unit of speed is wrong.
+    """
+
+    LATE_S = 0.06  # from the sampling of a poll to the drive's quick stop
+
+    distance_mm: float
+    bound_mm: float
+    speed_mm_s: float
+    stop_after_mm: float | None
+    limits: Limits
+    polls: list[tuple[float, float, float, float]]  # time; drive, strip and its speed in mm
+
+    def add(self, now: Snapshot, now_s: float) -> None:
+        limits = self.limits
+        self.polls.append(
+            (
+                now_s,
+                now.position / limits.counts_per_mm,
+                now.strip / limits.strip_counts_per_mm,
+                now.velocity / limits.counts_per_mm,
+            )
+        )
+
+    def stops_by(self) -> Literal["", "bound", "stop"]:
+        """Return why the slide must stop now; "" where it may go on."""
+        at = np.array(self.polls, dtype=float)
+        gone_mm = np.abs(at[-1, 1:3] - at[0, 1:3])
+        if self.stop_after_mm is not None and gone_mm[0] >= self.stop_after_mm:
+            return "stop"
+        passed_s = at[-1, 0] - at[-2, 0] if len(at) > 1 else 0.0
+        steps_mm = np.abs(at[-1, 1:3] - at[-2, 1:3]) if passed_s > 0 else np.zeros(2)
+        speed_mm_s = max(abs(at[-1, 3]), *(steps_mm / passed_s if passed_s > 0 else steps_mm))
+        ramp_mm_s2 = self.limits.acceleration / self.limits.counts_per_mm
+        braking_mm = speed_mm_s * self.LATE_S + speed_mm_s**2 / (2 * ramp_mm_s2)
+        own_mm = min(braking_mm, max(0.0, abs(self.distance_mm) - float(gone_mm.max())))
+        reach_mm = gone_mm.max() + (braking_mm if self._astray(gone_mm) else own_mm)
+        return "" if reach_mm <= self.bound_mm else "bound"
+
+    def _astray(self, gone_mm: Array) -> bool:
+        """Whether drive and strip no longer confirm each other, so that the target is no limit."""
+        apart_mm, slack_mm = abs(gone_mm[0] - gone_mm[1]), 0.5  # backlash, and the strip's delay
+        return bool(not apart_mm <= slack_mm + 0.2 * gone_mm.max())
 
 
 class Drive:
     """Drives one axis; used by one thread."""
 
     POLL_S = 0.02
+    JOG_POLL_S = 0.005
+    SLOWEST = 200.0  # a jog may take so many times as long as planned: its unit may be wrong
     STALL_S = 3.0  # wire deadline, beside the dwell: neither the expected state nor progress
     FULL_SPEED = 100.0  # percent: the drive has no override
     AT_SWITCH_MM = 25.0  # from the end of the travel with its slack: a limit there is that switch
@@ -42,12 +98,13 @@ class Drive:
         limits: Limits,
         watch: Callable[[str], None],
         watchdog: Watchdog,
+        homing: Homing,
         alarm_text: Callable[[int], str] = cia.alarm_text,
     ) -> None:
         """``alarm_text`` is the strip's."""
         self._image, self._sdo, self._clock = image, sdo, clock
         self._limits, self._watch = limits, watch
-        self._watchdog = watchdog
+        self._watchdog, self._homing, self._alarm_text = watchdog, homing, alarm_text
         self.slide = SlideMonitor(
             self._poll,
             clock,
@@ -60,6 +117,10 @@ class Drive:
         self._old_error = False  # of the homing before: it is reset when the drive obeys
         self._left_limit: int | None = None  # position on a limit switch
         self._mode, self._unanswered = NO_MODE, 0  # by SDO, and questions in a row without answer
+
+    @property
+    def units(self) -> DriveUnits:
+        return self._image.units
 
     def _poll(self, operation: str) -> Snapshot:
         """Return a snapshot; raises `DeviceError` for a fault, an alarm or a lost node."""
@@ -140,7 +201,26 @@ class Drive:
         self._until(operation, "drive without power", lambda s: not s.powered)
 
     def home(self, tolerance: int) -> None:
-        """Home by the method set in 6098h; raises `DeviceError`."""
+        """Home by a motion, by the method set in 6098h; raises `DeviceError`."""
+        self._check_homed(self._run_homing(), self._homing.counts, tolerance)
+
+    def set_reference(self, counts: int, tolerance: int) -> None:
+        """Let the position be ``counts`` where the slide is, without a motion; raises
+        `DeviceError`.
+
+        Makers differ in the sign of 607Ch: the position of the reference, or what is added to it to
+        find the zero (CiA 402-2). The position that follows decides.
+        """
+        here = self._image.units.position(counts)
+        for offset in (here, -here):
+            self._sdo.require(Object.HOME_OFFSET, 0, offset, "the position is the strip's")
+            now = self._run_homing(moves=False)
+            if abs(now.position - counts) <= tolerance:
+                return
+        self._check_homed(now, counts, tolerance)
+
+    def _run_homing(self, *, moves: bool = True) -> Snapshot:
+        """Return the poll at its end. Without a motion bit 12 cannot show when it has begun."""
         operation = "home"
         before = self._prepare(operation, Mode.HOMING)
         self._old_error = before.has(Bit.MODE_ERROR)
@@ -148,19 +228,23 @@ class Drive:
         self.slide.standstill.forget()
         with self._watchdog.motion():
             self._image.control(Control.START)
-            until("homing started", lambda now: self._homes(before, now))
+            if moves:
+                until("homing started", lambda now: self._homes(before, now))
             expected, attained = (
                 "homing attained at standstill",
                 Bit.ACKNOWLEDGED | Bit.TARGET_REACHED,
             )
             now = until(expected, lambda s: s.has(attained), self._limits.homing_s, at_rest=True)
         self._image.control(Control.ENABLE_OPERATION)
-        if not abs(now.position) <= tolerance:
+        return now
+
+    def _check_homed(self, now: Snapshot, counts: int, tolerance: int) -> None:
+        if not abs(now.position - counts) <= tolerance:
             raise RAIL.failed(
                 "HC-R35",
-                operation,
+                "home",
                 f"the drive stands at {self._limits.mm(now.position)}",
-                expected=f"0 +-{self._limits.mm(tolerance)}",
+                expected=f"{self._limits.mm(counts)} +-{self._limits.mm(tolerance)}",
                 position_mm=now.position / self._limits.counts_per_mm,
                 tolerance_mm=tolerance / self._limits.counts_per_mm,
             )
@@ -181,6 +265,78 @@ class Drive:
             expected = f"target reached at {self._limits.mm(target)}, at standstill"
             planned_s = self._limits.travel_s(target - before.position)
             until(expected, lambda now: self._arrived(now, target), planned_s, at_rest=True)
+
+    def jog(self, jog: Jog) -> Literal["", "bound", "stop"]:
+        """Make a small motion; return at rest without power, and what has stopped it.
+
+        Only positions show rest and progress: the unit of 606Ch may be wrong. Raises `DeviceError`.
+        """
+        limits, units = self._limits, self._image.units
+        distance = round(jog.distance_mm * limits.counts_per_mm)
+        operation = f"jog by {jog.distance_mm:+.3f} mm"
+        self.slide.check_strip(operation, self.slide.confirm(operation))
+        usual = units.of_speed(limits.speed)
+        slow = min(usual, units.of_speed(jog.speed_mm_s * limits.counts_per_mm))
+        self._sdo.write(Object.PROFILE_VELOCITY, 0, slow)
+        before = self._prepare(operation, Mode.PROFILE_POSITION)
+        self._check_limit(operation, before, before.position + distance)
+        with self._watchdog.motion():
+            stopped_by = self._run_jog(operation, jog, before.position + distance)
+        word = Control.DISABLE_VOLTAGE if stopped_by else Control.SHUTDOWN
+        self._image.control(word)
+        self._until(operation, "drive without power", lambda s: not s.powered)
+        self._sdo.write(Object.PROFILE_VELOCITY, 0, usual)
+        return stopped_by
+
+    def _run_jog(self, operation: str, jog: Jog, target: int) -> Literal["", "bound", "stop"]:
+        limits, stopped_by = self._limits, cast('Literal["", "bound", "stop"]', "")
+        self._image.control(Control.ENABLE_OPERATION, target)
+        self._until(operation, "last set-point released", lambda s: not s.has(Bit.ACKNOWLEDGED))
+        planned_s = self.SLOWEST * abs(jog.distance_mm) / jog.speed_mm_s
+        bounds = MotionLimits(planned_s, self.STALL_S + limits.windows.dwell_s, limits.window)
+        at_rest = Standstill(replace(limits.windows, speed=math.inf))
+        acknowledged = False
+        now = self.slide.poll(operation)
+        jog.add(now, self.slide.now_s)
+        self._image.control(Control.START, target)
+        while True:
+            now = self.slide.poll(operation)
+            jog.add(now, self.slide.now_s)
+            at_rest.add(now, self.slide.now_s)
+            if not stopped_by:
+                self._check_jog(operation, now)
+                stopped_by = jog.stops_by()
+            if stopped_by and now.state is State.ENABLED:
+                self._image.control(Control.QUICK_STOP)
+            elif not acknowledged and now.has(Bit.ACKNOWLEDGED):
+                acknowledged = True
+                self._image.control(Control.ENABLE_OPERATION, target)
+            arrived = acknowledged and self._arrived(now, target)
+            if at_rest.rest is not None and (arrived or now.state is not State.ENABLED):
+                return stopped_by
+            stalled = bounds.stalled(np.array([now.position], dtype=float))
+            if stalled or bounds.overdue(self.slide.now_s, self.FULL_SPEED):
+                raise self._at(now).failed(
+                    "HC-R31" if stalled else "HC-R28",
+                    operation,
+                    f"not done after {bounds.spent_s:.0f} s at {self._state_text(now)}",
+                    expected=f"{limits.mm(target)}, at rest",
+                    spent_s=bounds.spent_s,
+                )
+            self._clock.wait(self.JOG_POLL_S)
+
+    def _check_jog(self, operation: str, now: Snapshot) -> None:
+        where, code, found = self._limits.mm(now.position), "", ""
+        if now.alarms:
+            code, found = "HC-S01", f"strip sensor: {self._alarm_text(now.alarms)} at {where}"
+        elif now.state is not State.ENABLED:
+            code, found = "HC-R30", f"drive left operation enabled: {now.state.value}"
+        elif now.has(Bit.MODE_ERROR):
+            code, found = "HC-R26", f"following error at {where}"
+        elif self._at_switch(now):
+            code, found = "HC-R32", f"limit active at {where}"
+        if found:
+            raise self._at(now).failed(code, operation, found)
 
     def _homes(self, before: Snapshot, now: Snapshot) -> bool:
         """Whether homing has begun, or has ended already within one poll. Bit 12 "homing attained"
@@ -293,7 +449,7 @@ class Drive:
         if now.state is not State.ENABLED:
             code, found = "HC-R30", f"drive left operation enabled: {now.state.value}"
         elif now.mode == Mode.HOMING and now.has(Bit.MODE_ERROR) and not self._old_error:
-            code, found = "HC-R35", f"homing error of method {Option.HOME_NEGATIVE_LIMIT} (6098h)"
+            code, found = "HC-R35", f"homing error of method {self._homing.method} (6098h)"
         elif now.mode != Mode.HOMING and now.has(Bit.MODE_ERROR):
             code, found = "HC-R26", f"following error at {where}"
         elif now.mode != Mode.HOMING and self._at_switch(now):
@@ -328,7 +484,7 @@ class Drive:
     def _side(self, now: Snapshot) -> int:
         """Return the limit switch on which the slide is: -1, 1, or 0 where that is unknown."""
         inputs = self._sdo.read_if_present(Object.DIGITAL_INPUTS) or 0
-        side = {1: -1, 2: 1}.get(inputs & cia.LIMIT_SWITCHES, 0)
+        side = self._image.units.sense * {1: -1, 2: 1}.get(inputs & cia.LIMIT_SWITCHES, 0)
         near, limits = self.AT_SWITCH_MM * self._limits.counts_per_mm, self._limits
         if now.position <= limits.lowest + near:
             return side or -1

@@ -219,8 +219,8 @@ class MotionGuard:
         if (seen := self._speed.contradiction()) is None:
             return
         act = (
-            "set the drive's unit of speed (6081h, 6099h, 606Ch) to counts/s and that of "
-            "acceleration to counts/s^2, then resume"
+            "correct speed_unit, acceleration_unit or counts_per_turn in [rail.options], or the "
+            "drive's own units; then resume"
         )
         if seen.factor < self.FROZEN:
             act = "the position (6064h) does not follow: check the drive's encoder; then resume"

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from drivers.canopen import cia
 from drivers.canopen.can_link import CanLink, LinkLost, heartbeat_period_s
 from drivers.canopen.cia import NMT, NodeCommand, NodeState, Object, Option, state_text
+from drivers.canopen.drive_units import DriveUnits
 from drivers.canopen.motion_guard import Limits
 from drivers.canopen.sdo import Aborted, SdoChannel, Unsupported, open_channel
 from drivers.canopen.slcan_bus import has_long_stamp
@@ -135,17 +136,22 @@ class Node(NodeMonitor):
     ) -> None:
         """``check`` runs in every wait."""
         super().__init__(link, expected.node, in_pdo)
+        self._device_type: int | None = None
         self._expected, self._check = expected, check
         self.sdo = open_channel(link, expected.node, f"{expected.name}.eds", check)
 
     def identify(self, address: str) -> Identity:
         """Wait for the node and compare it with the cell file; raises `DeviceError`."""
-        return identify(self.sdo, self._expected, self._device_type(), address)
+        return identify(self.sdo, self._expected, self.profile(), address)
 
-    def _device_type(self) -> int:
-        """1000h as soon as the node answers; raises `DeviceError` after `FIND_S`. A lost link is
-        raised at once as `LinkLost`.
-        """
+    def profile(self) -> int:
+        """Return the device profile (1000h) as soon as the node answers; raises `DeviceError`."""
+        if self._device_type is None:
+            self._device_type = self._wait_for_type()
+        return self._device_type & 0xFFFF
+
+    def _wait_for_type(self) -> int:
+        """Return 1000h; raises `DeviceError` after `FIND_S`, and `LinkLost` at once."""
         link, expected = self._link, self._expected
         deadline_s = link.time.listened_s + FIND_S
         while True:
@@ -199,10 +205,10 @@ class Node(NodeMonitor):
         raise Unsupported(refusals[0], what)
 
 
-def identify(sdo: SdoChannel, expected: Expected, device_type: int, address: str) -> Identity:
+def identify(sdo: SdoChannel, expected: Expected, profile: int, address: str) -> Identity:
     """Compare 1000h and 1018h with the cell file; raises `DeviceRefused`."""
     checks = (
-        ("device profile (1000h)", device_type & 0xFFFF, expected.profile),
+        ("device profile (1000h)", profile & 0xFFFF, expected.profile),
         ("vendor (1018h:01)", sdo.read(Object.IDENTITY, 1), expected.vendor),
         ("product (1018h:02)", sdo.read_if_present(Object.IDENTITY, 2) or 0, expected.product),
         ("serial (1018h:04)", sdo.read_if_present(Object.IDENTITY, 4) or 0, expected.serial),
@@ -212,8 +218,8 @@ def identify(sdo: SdoChannel, expected: Expected, device_type: int, address: str
             raise RAIL.refused(
                 "HC-R08",
                 "connect",
-                f"node {expected.node} ({expected.name}): {what} is 0x{value:X}",
-                expected=f"0x{required:X}",
+                f"node {expected.node} ({expected.name}): {what} is 0x{value:X} ({value})",
+                expected=f"0x{required:X} ({required})",
                 node=expected.node,
                 name=expected.name,
                 object=what,
@@ -241,34 +247,54 @@ def identify(sdo: SdoChannel, expected: Expected, device_type: int, address: str
     )
 
 
-def set_up_drive(sdo: SdoChannel, limits: Limits, pc_node: int, homing_mm_s: float) -> None:
+@dataclass(frozen=True, slots=True)
+class Homing:
+    """How a drive gets its reference; ``counts``: its position where a motion has found it."""
+
+    HERE = (35, 37)  # methods: the slide stays, and is where 607Ch says
+
+    method: int | None  # 6098h; None: the drive is absolute
+    fast_mm_s: float
+    counts: int
+
+    @property
+    def moves(self) -> bool:
+        return self.method is not None and self.method not in self.HERE
+
+
+def set_up_drive(
+    sdo: SdoChannel, limits: Limits, units: DriveUnits, pc_node: int, homing: Homing
+) -> None:
     """Write a drive's settings, each read back; raises `Unsupported`, or `DeviceError`.
 
     Without 6084h the ramp up is that down (CiA 402-2), without 607Ch the offset is 0. The windows
     of arrival and standstill only help the drive: hilcell judges both itself, and guards each
     speed.
     """
-    require, acceleration = sdo.require, round(limits.acceleration)
+    require, acceleration = sdo.require, units.of_acceleration(limits.acceleration)
     fast, slow = (
-        round(min(limits.speed, mm_s * limits.counts_per_mm))
-        for mm_s in (homing_mm_s, HOMING_SLOW_MM_S)
+        units.of_speed(min(limits.speed, mm_s * limits.counts_per_mm))
+        for mm_s in (homing.fast_mm_s, HOMING_SLOW_MM_S)
     )
     heartbeat = pc_node << 16 | PC_HEARTBEAT_LIMIT_MS
     require(Object.CONSUMER_HEARTBEAT, 1, heartbeat, "the drive notices that the PC has died")
     stops = "the drive stops by itself when the PC has died"
     require(Object.ABORT_CONNECTION_OPTION, 0, Option.QUICK_STOP_ON_LOST_CONNECTION, stops)
-    require(Object.PROFILE_VELOCITY, 0, round(limits.speed), "speed of motions")
+    require(Object.PROFILE_VELOCITY, 0, units.of_speed(limits.speed), "speed of motions")
     require(Object.PROFILE_ACCELERATION, 0, acceleration, "ramp of motions")
     require(Object.PROFILE_DECELERATION, 0, acceleration, "ramp of motions", optional=True)
-    method = "homing to the negative limit switch"
-    require(Object.HOMING_METHOD, 0, Option.HOME_NEGATIVE_LIMIT, method)
-    require(Object.HOME_OFFSET, 0, 0, "the drive reads 0 where it has homed", optional=True)
-    require(Object.HOMING_SPEEDS, 1, fast, "speeds of homing")
-    require(Object.HOMING_SPEEDS, 2, slow, "speeds of homing")
-    require(Object.HOMING_ACCELERATION, 0, acceleration, "ramp of homing", optional=True)
+    if homing.method is not None:
+        require(Object.HOMING_METHOD, 0, homing.method, "homing method")
+    if homing.moves:
+        where = "the drive reads home_mm where it has homed"
+        at = units.position(homing.counts)
+        require(Object.HOME_OFFSET, 0, at, where, optional=not at)
+        require(Object.HOMING_SPEEDS, 1, fast, "speeds of homing")
+        require(Object.HOMING_SPEEDS, 2, slow, "speeds of homing")
+        require(Object.HOMING_ACCELERATION, 0, acceleration, "ramp of homing", optional=True)
     set_quick_stop(sdo, acceleration)
     dwell_ms = min(0xFFFF, round(limits.windows.dwell_s * 1000))
-    threshold = min(0xFFFF, round(limits.windows.speed))
+    threshold = min(0xFFFF, units.of_speed(limits.windows.speed))
     window, standstill = "window of a target that is reached", "threshold of standstill"
     require(Object.POSITION_WINDOW, 0, limits.window, window, optional=True)
     require(Object.POSITION_WINDOW_TIME, 0, dwell_ms, window, optional=True)

@@ -21,6 +21,7 @@ from enum import IntEnum
 from drivers.canopen import cia
 from drivers.canopen.can_link import CanLink
 from drivers.canopen.cia import Control, Object, State
+from drivers.canopen.drive_units import DriveUnits
 from drivers.canopen.sdo import Aborted, SdoChannel, Unsupported
 from drivers.device_errors import RAIL
 from drivers.slide import Poll
@@ -31,6 +32,8 @@ STALE_S = 0.3
 SYNCS = 3
 POLL_S = 0.02
 NO_MODE = 0  # of CiA 402: no mode assigned
+AS_COUNTED = DriveUnits()
+ReadStrip = Callable[[Mapping[int, tuple[int, ...]], Callable[[], None]], tuple[int, int]]
 
 
 class Transmission(IntEnum):
@@ -203,10 +206,10 @@ class Inbox:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot(Poll):
-    """Drive and strip at one SYNC, in counts and counts/s."""
+    """Drive and strip at one SYNC, in counts that rise with the travel, and counts/s."""
 
     position: int
-    velocity: int
+    velocity: float
     statusword: int
     mode: int
 
@@ -215,7 +218,7 @@ class Snapshot(Poll):
         cls,
         statusword: int,
         position: int,
-        velocity: int,
+        velocity: float,
         *,
         strip: int,
         alarms: int,
@@ -244,13 +247,14 @@ class ProcessImage:
         self,
         link: CanLink,
         drive_node: int,
-        read_strip: Callable[[Mapping[int, tuple[int, ...]], Callable[[], None]], tuple[int, int]],
+        read_strip: ReadStrip,
         strip: Pdo | None = None,
+        units: DriveUnits = AS_COUNTED,
     ) -> None:
         """``read_strip`` returns the strip's counts and alarms, of a SYNC's values by identifier.
         ``strip``: its PDO on this bus; None: it is queried, with a check for each wait.
         """
-        self._link, self._read_strip = link, read_strip
+        self._link, self._read_strip, self.units = link, read_strip, units
         self._lock = threading.Lock()
         self._stopped = False
         self._target = 0
@@ -277,7 +281,13 @@ class ProcessImage:
         strip, alarms = self._read_strip(values, check)
         self._taken_s = taken_s
         return Snapshot.of(
-            statusword, position, velocity, strip=strip, alarms=alarms, taken_s=taken_s, mode=mode
+            statusword,
+            self.units.position(position),
+            self.units.velocity(velocity),
+            strip=strip,
+            alarms=alarms,
+            taken_s=taken_s,
+            mode=mode,
         )
 
     @property
@@ -303,7 +313,7 @@ class ProcessImage:
             if cia.enables(controlword):
                 self.check_not_stopped()
             if target is not None:
-                self._target = target
+                self._target = self.units.position(target)
             self._send(controlword)
 
     def check_not_stopped(self) -> None:

@@ -6,30 +6,34 @@ only; the strip, read at rest, decides where the slide is, in the closed loop ab
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
+import numpy as np
 from msgspec import Meta
 
 from drivers.canopen import cia
 from drivers.canopen.can_link import CanLink, heartbeat_period_s, open_bus
 from drivers.canopen.cia import Control, NodeCommand, NodeState, Object, State
 from drivers.canopen.controller_side import drive_and_strip
-from drivers.canopen.drive import Drive
+from drivers.canopen.drive import Drive, Jog
+from drivers.canopen.drive_units import PER_MINUTE, DriveUnits, Stated, Unit, unit_problems
 from drivers.canopen.motion_guard import Limits
 from drivers.canopen.nodes import (
     HOMING_SLOW_MM_S,
     Expected,
+    Homing,
     Node,
     homing_s,
     set_up_drive,
     start_nodes,
 )
-from drivers.canopen.process_image import ProcessImage, Snapshot
+from drivers.canopen.process_image import ProcessImage, ReadStrip, Snapshot
 from drivers.canopen.sdo import SdoChannel, open_channel
 from drivers.canopen.slcan_bus import Interface, bus_problems
 from drivers.device_errors import RAIL
@@ -46,19 +50,32 @@ from drivers.strips import (
 )
 from drivers.supervision import Deadline, Watchdog, ignore_stop, on_failure
 from hilcell.cell.settings import refuse
-from hilcell.ports import Clock, ControllerSide, DeviceError, Identity, LinkStatistics, RailReading
+from hilcell.ports import (
+    Clock,
+    ControllerSide,
+    DeviceError,
+    Identity,
+    LinkStatistics,
+    RailReading,
+    RailTrace,
+)
 
 SLACK_MM = 5.0  # the slide may read so far beyond its travel before that is a runaway
 
 
 class CanopenRail:
-    """Satisfies `hilcell.ports.Rail`."""
+    """Satisfies `hilcell.ports.Rail` and `hilcell.ports.Jogs`."""
 
     LATE_S = 0.8  # below the consumer time of the drive (1016h)
     WINDOW_MM = 0.05
 
     class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-        """The bus, the two nodes and their scales."""
+        """The bus, the two nodes, their scales and units, and how the drive gets its reference.
+
+        ``counts_per_mm`` is negative where a drive counts down while the slide moves up.
+        ``speed_unit`` "" is what the drive states in 60A9h, else counts/s; ``acceleration_unit`` ""
+        belongs to it; ``counts_per_turn`` 0 is what the drive states.
+        """
 
         channel: str
         travel_min_mm: float
@@ -70,8 +87,12 @@ class CanopenRail:
         drive_node: NodeNumber = 5
         strip_node: NodeNumber = 6
         heartbeat_node: NodeNumber = 127
-        counts_per_mm: Positive = 1000.0
+        counts_per_mm: float = 1000.0
+        speed_unit: str = ""
+        acceleration_unit: str = ""
+        counts_per_turn: Annotated[float, Meta(ge=0)] = 0.0  # of the motor, as 6064h counts
         strip_counts_per_mm: CountsPerMm = 100.0
+        strip_zero_mm: float = 0.0
         drive_vendor: U32 = 0x484
         drive_product: U32 = 0x402
         drive_serial: U32 = 0
@@ -81,7 +102,10 @@ class CanopenRail:
         standstill_speed_mm_s: Annotated[float, Meta(ge=0.01, le=5)] = 0.5
         standstill_window_mm: Annotated[float, Meta(ge=0.001, le=0.1)] = 0.01
         standstill_dwell_s: Annotated[float, Meta(ge=0.05, le=5)] = 0.4
+        homing: Literal[17, 18, 33, 34, 35, 37, "absolute"] = 17  # 6098h
+        home_mm: float = 0.0  # of the slide, where homing by a motion ends
         homing_mm_s: Positive = 100.0
+        slip_limit_mm: Positive = 2.0
         strip: StripOptions | None = None  # one that is not on the bus
 
         def __post_init__(self) -> None:
@@ -92,11 +116,16 @@ class CanopenRail:
                 raise ValueError("strip.channel: a strip on the drive's bus needs no table")
             if self.strip is not None and self.strip_serial:
                 raise ValueError("strip_serial: the strip has a table; state strip.serial")
+            if self.strip is not None and self.strip_zero_mm:
+                raise ValueError("strip_zero_mm: the strip has a table; state strip.zero_mm")
             if not self.travel_min_mm < self.travel_max_mm:
                 raise ValueError("travel_min_mm must be below travel_max_mm")
             reach_mm = max(abs(self.travel_min_mm), abs(self.travel_max_mm)) + SLACK_MM
-            if not reach_mm * self.counts_per_mm < 2**31 - 1:
-                raise ValueError("travel times counts_per_mm does not fit 32 bits")
+            if not 0 < reach_mm * abs(self.counts_per_mm) < 2**31 - 1:
+                raise ValueError("travel times counts_per_mm is 0 or does not fit 32 bits")
+            refuse(unit_problems(self.speed_unit, self.acceleration_unit))
+            if self.home_mm and self.homing in ("absolute", *Homing.HERE):
+                raise ValueError(f"home_mm: homing {self.homing} takes the place of the slide")
 
     def __init__(self, options: Options, clock: Clock) -> None:
         self._options, self._clock = options, clock
@@ -114,6 +143,7 @@ class CanopenRail:
             driver="canopen",
             channel=options.channel,
             counts_per_mm=options.strip_counts_per_mm,
+            zero_mm=options.strip_zero_mm,
             serial=options.strip_serial,
             interface=options.interface,
             bitrate=options.bitrate,
@@ -121,7 +151,9 @@ class CanopenRail:
             vendor=options.strip_vendor,
             product=options.strip_product,
         )
-        scale, of_strip = options.counts_per_mm, self._strip.counts_per_mm
+        scale, of_strip = abs(options.counts_per_mm), self._strip.scale
+        method = None if options.homing == "absolute" else options.homing
+        self._homing = Homing(method, options.homing_mm_s, round(options.home_mm * scale))
         self._limits = Limits(
             counts_per_mm=scale,
             strip_counts_per_mm=of_strip,
@@ -154,17 +186,36 @@ class CanopenRail:
             return self._set_up(self._link)
 
     def home(self) -> None:
-        """Home to the negative limit switch (6098h = 17); the drive then reads 0, or the end of its
-        ramp behind the edge.
+        """Let the drive have its reference. By a motion it then reads ``home_mm``, or the end of
+        its ramp behind the edge; else the strip's reading, without a motion.
         """
-        options, drive = self._options, self._used()
+        options, drive, scale = self._options, self._used(), self._limits.counts_per_mm
         past_mm = HOMING_SLOW_MM_S**2 / options.acceleration_mm_s2  # twice the ramp
-        self._move(lambda: drive.home(round((self.WINDOW_MM + past_mm) * options.counts_per_mm)))
+        if self._homing.moves:
+            self._move(lambda: drive.home(round((self.WINDOW_MM + past_mm) * scale)))
+            return
+        reading = self.settle()
+        if self._homing.method is not None:
+            counts, window = round(reading.strip_mm * scale), self._limits.window
+            self._move(lambda: drive.set_reference(counts, window))
+        elif not abs(reading.position_mm - reading.strip_mm) <= options.slip_limit_mm:
+            raise RAIL.failed(
+                "HC-R53",
+                "home",
+                f"absolute drive {reading.position_mm:.2f} mm and strip {reading.strip_mm:.2f} mm "
+                "differ",
+                expected=f"<= {options.slip_limit_mm:.2f} mm apart",
+                drive_mm=reading.position_mm,
+                strip_mm=reading.strip_mm,
+                limit_mm=options.slip_limit_mm,
+            )
+        else:
+            self._ended_s = reading.taken_s
 
     def move_to(self, position_mm: float) -> None:
         options, drive = self._options, self._used()
         check_travel(position_mm, options.travel_min_mm, options.travel_max_mm)
-        self._move(lambda: drive.move(round(position_mm * options.counts_per_mm)))
+        self._move(lambda: drive.move(round(position_mm * self._limits.counts_per_mm)))
 
     def settle(self) -> RailReading:
         """Return a reading at rest: medians of five in a row within the windows, over the dwell."""
@@ -177,6 +228,56 @@ class CanopenRail:
 
     def hold(self) -> None:
         self._used().disable()
+
+    def jog(
+        self,
+        distance_mm: float,
+        *,
+        bound_mm: float,
+        speed_mm_s: float,
+        stop_after_mm: float | None = None,
+    ) -> RailTrace:
+        """As `hilcell.ports.Jogs`; times are of the cell's clock.
+
+        Raises `ValueError` where the bound leaves no room behind the distance.
+        """
+        if not abs(distance_mm) < bound_mm:
+            raise ValueError(f"a jog by {distance_mm} mm exceeds its bound of {bound_mm} mm")
+        self._reconnect_strip()
+        drive, limits = self._used(), self._limits
+        jog = Jog(distance_mm, bound_mm, speed_mm_s, stop_after_mm, limits, [])
+        self._ended_s = None
+        with on_failure(self._stop_after_failure):
+            stopped_by = drive.jog(jog)
+        self._ended_s = self._clock.pc_s()
+        taken_s, drive_mm, strip_mm, velocity_mm_s = np.array(jog.polls, dtype=float).T
+        return RailTrace(taken_s, drive_mm, strip_mm, velocity_mm_s, stopped_by)
+
+    def rescaled(self, drive: float, strip: float, speed: float) -> dict[str, object]:
+        """As `hilcell.ports.Jogs`. A unit of speed that is no power of ten of counts/s becomes rpm
+        of a motor with as many counts a turn.
+        """
+        o, small = self._options, 0.03
+        found: dict[str, object] = {"counts_per_mm": o.counts_per_mm / drive}
+        if o.strip is None:
+            found["strip_counts_per_mm"] = o.strip_counts_per_mm / strip
+            found["strip_zero_mm"] = o.strip_zero_mm * strip
+        else:
+            of_strip: dict[str, object] = msgspec.to_builtins(o.strip)
+            scale, zero_mm = o.strip.counts_per_mm / strip, o.strip.zero_mm * strip
+            found["strip"] = of_strip | {"counts_per_mm": scale, "zero_mm": zero_mm}
+        if not abs(speed / drive - 1) <= small:  # the unit follows the counts
+            counts_s = self._used().units.speed * abs(speed / drive)
+            power = round(math.log10(counts_s))
+            if abs(counts_s / 10.0**power - 1) <= small:
+                factor = "" if not power else f"{10.0**power:g} "
+                found |= {"speed_unit": f"{factor}counts/s", "acceleration_unit": ""}
+            else:
+                per_turn = round(PER_MINUTE * counts_s)
+                found |= {
+                    "speed_unit": "rpm", "acceleration_unit": "", "counts_per_turn": per_turn
+                }  # fmt: skip
+        return found
 
     def statistics(self) -> LinkStatistics:
         link, feed = self._link, self._feed
@@ -203,19 +304,27 @@ class CanopenRail:
 
     def _set_up(self, link: CanLink) -> list[Identity]:
         o, check, feed = self._options, self._clock.check, self._feed
-        expected = Expected("drive", o.drive_node, 402, o.drive_vendor, o.drive_product,
-                            o.drive_serial)  # fmt: skip
+        expected = Expected(
+            "drive",
+            o.drive_node,
+            cia.DRIVE_PROFILE,
+            o.drive_vendor,
+            o.drive_product,
+            o.drive_serial,
+        )
         self._nodes = (Node(link, expected, check),)
+        read_strip: ReadStrip
         if feed is None:
             strip = StripNode(link, self._strip, check)
-            self._nodes = (*self._nodes, strip)
-            image = ProcessImage(
-                link, o.drive_node, lambda values, _: strip.values(values), strip.pdo
-            )
+            self._nodes, pdo = (*self._nodes, strip), strip.pdo
+            read_strip = lambda values, _: strip.values(values)  # noqa: E731
+            self._check_not_exchanged()
         else:
-            image = ProcessImage(link, o.drive_node, lambda _, check: feed.poll(check))
+            pdo, read_strip = None, lambda _, check: feed.poll(check)
         watchdog = Watchdog(RAIL, "HC-R39", self._clock, self.LATE_S)
         identities = [node.identify(o.channel) for node in self._nodes]
+        units = self._units()
+        image = ProcessImage(link, o.drive_node, read_strip, pdo, units=units)
         if feed is not None:
             identities.append(feed.connect())
         try:
@@ -224,7 +333,16 @@ class CanopenRail:
             self._check_nodes("connect")  # one that was reset meanwhile is the cause
             raise
         sdo, text = self._nodes[0].sdo, cia.alarm_text if feed is None else feed.alarm_text
-        drive = Drive(image, sdo, self._clock, self._limits, self._check_nodes, watchdog, text)
+        drive = Drive(
+            image,
+            sdo,
+            self._clock,
+            self._limits,
+            self._check_nodes,
+            watchdog,
+            homing=self._homing,
+            alarm_text=text,
+        )
         drive.reset_fault()
         for node in self._nodes:
             node.arm()
@@ -241,7 +359,7 @@ class CanopenRail:
         period_s = heartbeat_period_s(options.bitrate)
         link.start_heartbeat(options.heartbeat_node, watchdog.is_fed, period_s)
         drive.set_heartbeat(options.bitrate)
-        set_up_drive(drive.sdo, self._limits, options.heartbeat_node, options.homing_mm_s)
+        set_up_drive(drive.sdo, self._limits, image.units, options.heartbeat_node, self._homing)
         for strip in strips:
             strip.set_heartbeat(options.bitrate)
         image.configure(drive.sdo)
@@ -249,6 +367,62 @@ class CanopenRail:
             strip.map(image.inbox)
         start_nodes(link, self._nodes, self._clock.check)
         self._check_nodes("connect")
+
+    def _check_not_exchanged(self) -> None:
+        """Refuse a strip where the drive is expected, and the other way round."""
+        o = self._options
+        if [node.profile() for node in self._nodes] == [cia.ENCODER_PROFILE, cia.DRIVE_PROFILE]:
+            raise RAIL.refused(
+                "HC-R08",
+                "connect",
+                f"node {o.drive_node} is an encoder (CiA 406), node {o.strip_node} a drive (CiA "
+                "402): the node numbers are exchanged",
+                expected=f"a drive at {o.drive_node}, the strip's sensor at {o.strip_node}",
+                act=f"set drive_node = {o.strip_node} and strip_node = {o.drive_node} in "
+                "[rail.options]",
+                drive_node=o.drive_node,
+                strip_node=o.strip_node,
+            )
+
+    def _units(self) -> DriveUnits:
+        """Return the units by the options and by what the drive states; raises `DeviceRefused`."""
+        o, sdo = self._options, self._nodes[0].sdo
+        stated = Stated.read(sdo.read_if_present)
+        given = Unit.of(o.speed_unit) if o.speed_unit else None
+        for where, value, expected in stated.contradictions(
+            given, o.counts_per_mm, o.counts_per_turn
+        ):
+            raise RAIL.refused(
+                "HC-R54",
+                "connect",
+                f"the drive states {value} in {where}",
+                expected=expected,
+                act="correct the option in [rail.options], or the drive's units",
+                object=where,
+                stated=value,
+            )
+        speed = given or stated.speed or Unit.of("counts/s")
+        ramp = Unit.of(o.acceleration_unit or speed.per_second())
+        per_turn = o.counts_per_turn or stated.turn_counts or 0.0
+        if not per_turn and (speed.of_turns or ramp.of_turns):
+            raise RAIL.refused(
+                "HC-R54",
+                "connect",
+                f"units are {speed.text} and {ramp.text}, and the drive does not state the counts "
+                "of a turn (6090h)",
+                expected="counts_per_turn in [rail.options]",
+                object="6090h",
+                stated="",
+            )
+        units = DriveUnits(
+            1 if o.counts_per_mm > 0 else -1,
+            speed.counts(o.counts_per_mm, per_turn),
+            ramp.counts(o.counts_per_mm, per_turn),
+        )
+        windows = self._limits.windows
+        still = max(units.speed, o.standstill_speed_mm_s * self._limits.counts_per_mm)
+        self._limits = replace(self._limits, windows=replace(windows, speed=still))
+        return units
 
     def _reconnect_strip(self) -> None:
         if self._feed is not None:
@@ -276,7 +450,7 @@ class CanopenRail:
     def _release(self, link: CanLink, image: ProcessImage) -> None:
         sdo = open_channel(link, self._options.drive_node, "drive.eds", ignore_stop)
         node, rest = self._nodes[0], self._used().slide.rest
-        release = Release(link, image, sdo, self._limits.windows, node=node, rest=rest)
+        release = Release(link, image, sdo, self._limits, node=node, rest=rest)
         release.leave_held()
         self._held_by_sdo = int(release.by_sdo)
         # From here on there is no heartbeat; without this the drive would go to fault.
@@ -318,15 +492,15 @@ class Release:
         link: CanLink,
         image: ProcessImage,
         sdo: SdoChannel,
-        windows: Windows,
+        limits: Limits,
         *,
         node: Node,
         rest: Rest | None,
     ) -> None:
         """``node`` is the drive; ``rest`` is where its slide is known to be at rest."""
         self._link, self._image, self._sdo = link, image, sdo
-        self._windows, self._node, self._rest = windows, node, rest
-        self._standstill = Standstill(windows)
+        self._limits, self._windows, self._node, self._rest = limits, limits.windows, node, rest
+        self._standstill = Standstill(limits.windows)
         self._ignored = 0  # polls of a drive that continues, though it was asked to stop
         self.by_sdo = node.state != NodeState.OPERATIONAL  # no PDO comes, SDO is asked
         self._began_s, self._polls = time.monotonic(), 0  # of asking by this means
@@ -350,7 +524,7 @@ class Release:
                 raise RAIL.failed(
                     "HC-R37",
                     "close",
-                    f"{found}: {now.state.value}, speed {now.velocity} counts/s",
+                    f"{found}: {now.state.value}, speed {self._limits.mm(now.velocity)}/s",
                     expected=f"held within {limit_s:.0f} s",
                     act="keep away from the slide; press the E-stop, or switch the drive off",
                     state=now.state.value,
@@ -440,5 +614,12 @@ class Release:
             self._sdo.read(index, tries=1)
             for index in (Object.STATUSWORD, Object.VELOCITY_ACTUAL, Object.POSITION_ACTUAL)
         )
-        taken_s, alarms = self._link.clock.pc_s(), self.NO_STRIP
-        return Snapshot.of(statusword, position, velocity, strip=0, alarms=alarms, taken_s=taken_s)
+        units = self._image.units
+        return Snapshot.of(
+            statusword,
+            units.position(position),
+            units.velocity(velocity),
+            strip=0,
+            alarms=self.NO_STRIP,
+            taken_s=self._link.clock.pc_s(),
+        )

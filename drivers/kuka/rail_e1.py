@@ -97,7 +97,7 @@ class KukaE1Rail:
         self._options, self._clock = options, clock
         self._robot: ExternalAxis | None = None
         self._strip = StripReader(strip_of(options.strip, clock))
-        per_mm = options.strip.counts_per_mm
+        per_mm = options.strip.scale
         windows = Windows(
             speed=options.standstill_speed_mm_s,
             spread=options.standstill_window_mm,
@@ -153,7 +153,7 @@ class KukaE1Rail:
         def attend(drive_mm: float) -> None:
             strip, alarms = self._strip.poll(self._clock.check)
             if not alarms:
-                guard.add(drive_mm, strip / options.strip.counts_per_mm)
+                guard.add(drive_mm, strip / options.strip.scale)
                 guard.check("move to")
 
         with on_failure(self._stop_after_failure):

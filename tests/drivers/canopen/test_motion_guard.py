@@ -209,7 +209,7 @@ def test_a_strip_that_counts_in_the_other_direction_is_named() -> None:
     assert "opposite directions" in str(refusal(lambda: guard.check("move")))
 
 
-@pytest.mark.parametrize(("moves", "words"), [(0.0, "does not follow"), (0.1, "unit of speed")])
+@pytest.mark.parametrize(("moves", "words"), [(0.0, "does not follow"), (0.1, "speed_unit")])
 def test_a_position_that_does_not_follow_is_no_unit_of_speed(moves: float, words: str) -> None:
     windows = Windows(speed=500.0, spread=10, strip_spread=2, dwell_s=0.4)
     limits = Limits(

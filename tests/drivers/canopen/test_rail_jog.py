@@ -1,0 +1,181 @@
+"""A rail whose scale, sign, unit or node numbers the cell file states wrongly, by a clock."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.canopen.rail import CanopenRail
+from fakes.canopen.rail_device import RailDevice
+from hilcell.clock import WallClock
+from tests.drivers.canopen.test_units_of_the_drive import PACE, SlowClock
+from tests.drivers.peers import refusal
+from tests.fakes.rail_bench import Bench, served
+
+pytestmark = pytest.mark.wall
+MOTOR = {"motor_mm_s": 500.0, "motor_mm_s2": 2000.0}
+TRAPS: dict[str, RailDevice] = {
+    "as stated": RailDevice(),
+    "drive sign": RailDevice(counts_per_mm=-1000.0),
+    "strip sign": RailDevice(strip_counts_per_mm=-100.0),
+    "scale x 0.9": RailDevice(counts_per_mm=1000.0 / 0.9),
+    "scale x 10": RailDevice(counts_per_mm=100.0),
+    "scale x 200": RailDevice(counts_per_mm=5.0),
+    "rpm": RailDevice(speed_unit="rpm", **MOTOR),
+    "0.1 counts/s": RailDevice(speed_unit="0.1 counts/s"),
+}
+
+
+FAST = 10.0
+
+
+class FastClock(WallClock):
+    """Real time; the cell's is faster."""
+
+    def __init__(self) -> None:
+        super().__init__(threading.Event())
+
+    def now_s(self) -> float:
+        return FAST * super().now_s()
+
+    def wait(self, duration_s: float) -> None:
+        super().wait(duration_s / FAST)
+
+
+@contextmanager
+def connected(device: RailDevice, **options: Any) -> Iterator[tuple[CanopenRail, Bench]]:
+    with served(speed=PACE, device=device) as bench:
+        values: dict[str, Any] = {
+            "channel": f"socket://127.0.0.1:{bench.server.port}",
+            "travel_min_mm": 0.0,
+            "travel_max_mm": 3000.0,
+            "speed_mm_s": 250.0,
+            "acceleration_mm_s2": 200.0,
+        }
+        rail = CanopenRail(CanopenRail.Options(**(values | options)), SlowClock())
+        rail.connect()
+        try:
+            yield rail, bench
+        finally:
+            rail.close()
+
+
+@pytest.mark.parametrize("trap", TRAPS)
+@pytest.mark.parametrize(("distance_mm", "bound_mm"), [(0.05, 10.5), (5.0, 8.0)])
+def test_a_jog_stays_within_its_bound(trap: str, distance_mm: float, bound_mm: float) -> None:
+    if trap == "scale x 200" and distance_mm > 1:
+        pytest.skip("the first jog has shown the scale")
+    with connected(TRAPS[trap]) as (rail, bench):
+        began_mm = bench.rail.slide_mm()
+        trace = rail.jog(distance_mm, bound_mm=bound_mm, speed_mm_s=5.0)
+        assert bench.rail.at_rest
+        assert not rail.read().powered
+        assert abs(bench.rail.slide_mm() - began_mm) <= bound_mm
+        assert np.abs(trace.strip_mm - trace.strip_mm[0]).max() <= bound_mm
+        stopped = (trap, distance_mm) in {("scale x 10", 5.0), ("scale x 200", 0.05)}
+        assert (trace.stopped_by == "bound") == stopped
+        if distance_mm > 1:
+            ratio = np.ptp(trace.strip_mm) / np.ptp(trace.drive_mm)
+            expected = {"scale x 0.9": 0.9, "scale x 10": 10.0}.get(trap, 1.0)
+            assert ratio == pytest.approx(expected, rel=0.08)
+
+
+def test_a_stop_on_purpose_ends_a_jog() -> None:
+    with connected(RailDevice()) as (rail, _):
+        trace = rail.jog(20.0, bound_mm=30.0, speed_mm_s=50.0, stop_after_mm=5.0)
+        assert trace.stopped_by == "stop"
+        assert 5.0 <= np.ptp(trace.drive_mm) < 20.0
+        assert not rail.read().powered
+
+
+@pytest.mark.parametrize(
+    ("device", "factors", "options"),
+    [
+        (RailDevice(counts_per_mm=-1000.0), (-1.0, 1.0, 1.0), {}),
+        (
+            RailDevice(counts_per_mm=100.0),
+            (10.0, 1.0, 10.0),
+            {"standstill_window_mm": 0.1},  # its servo dithers by two coarse counts
+        ),
+        (RailDevice(strip_counts_per_mm=-100.0), (1.0, -1.0, 1.0), {}),
+        (RailDevice(speed_unit="0.1 counts/s"), (1.0, 1.0, 0.1), {}),
+        (RailDevice(speed_unit="rpm", **MOTOR), (1.0, 1.0, 166.7), {}),
+        (RailDevice(speed_unit="rpm", states_units=True, **MOTOR), (1.0, 1.0, 1.0), {}),
+        (
+            RailDevice(speed_unit="rpm", **MOTOR),
+            (1.0, 1.0, 1.0),
+            {"speed_unit": "rpm", "counts_per_turn": 10_000},
+        ),
+    ],
+)
+def test_with_rescaled_options_drive_strip_and_speed_agree(
+    device: RailDevice, factors: tuple[float, float, float], options: dict[str, Any]
+) -> None:
+    with connected(device, **options) as (rail, _):
+        better = rail.rescaled(*factors)
+    with connected(device, **(options | better)) as (rail, bench):
+        began_mm = bench.rail.slide_mm()
+        trace = rail.jog(30.0, bound_mm=40.0, speed_mm_s=20.0)
+        assert trace.stopped_by == ""
+        assert bench.rail.slide_mm() - began_mm == pytest.approx(30.0, abs=0.3)
+        for gone_mm in (trace.drive_mm, trace.strip_mm):
+            assert gone_mm[-1] - gone_mm[0] == pytest.approx(30.0, abs=0.3)
+        assert np.median(trace.velocity_mm_s[trace.velocity_mm_s > 10]) == pytest.approx(
+            20, rel=0.05
+        )
+
+
+def test_exchanged_node_numbers_are_named() -> None:
+    with served(device=RailDevice(drive_node=6, strip_node=5)) as bench:
+        rail = CanopenRail(
+            CanopenRail.Options(
+                channel=f"socket://127.0.0.1:{bench.server.port}",
+                travel_min_mm=0.0,
+                travel_max_mm=3000.0,
+                speed_mm_s=250.0,
+                acceleration_mm_s2=200.0,
+            ),
+            SlowClock(),
+        )
+        found = refusal(rail.connect)
+        assert (found.code, found.fields["drive_node"]) == ("HC-R08", 5)
+        assert "exchanged" in found.found
+
+
+@pytest.mark.parametrize("method", [17, 18, 37, "absolute"])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_after_homing_drive_and_strip_agree(method: Any, sign: Any) -> None:
+    device = RailDevice(
+        counts_per_mm=-1000.0,
+        absolute=method == "absolute",
+        homing_methods=() if method == "absolute" else (method,),
+        home_offset_sign=sign if method == 37 else 1,
+    )
+    home_mm = {17: 3000.0}.get(method, 0.0)
+    with served(speed=FAST, device=device) as bench:
+        rail = CanopenRail(
+            CanopenRail.Options(
+                channel=f"socket://127.0.0.1:{bench.server.port}",
+                travel_min_mm=0.0,
+                travel_max_mm=3000.0,
+                speed_mm_s=250.0,
+                acceleration_mm_s2=200.0,
+                counts_per_mm=-1000.0,
+                homing=method,
+                home_mm=home_mm,
+            ),
+            FastClock(),
+        )
+        rail.connect()
+        rail.home()
+        reading = rail.settle()
+        assert reading.position_mm == pytest.approx(reading.strip_mm, abs=0.8)
+        inwards_mm = -2.0 if home_mm else 2.0
+        trace = rail.jog(inwards_mm, bound_mm=4.0, speed_mm_s=5.0)
+        assert trace.strip_mm[-1] - trace.strip_mm[0] == pytest.approx(inwards_mm, abs=0.5)
+        rail.close()
