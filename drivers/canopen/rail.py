@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from drivers.canopen import cia
+from drivers.canopen import bus_scan, cia, requirements
 from drivers.canopen.can_link import CanLink, heartbeat_period_s, open_bus
 from drivers.canopen.cia import Control, NodeCommand, NodeState, Object, State
 from drivers.canopen.controller_side import drive_and_strip
@@ -51,6 +51,8 @@ from drivers.strips import (
 from drivers.supervision import Deadline, Watchdog, ignore_stop, on_failure
 from hilcell.cell.settings import refuse
 from hilcell.ports import (
+    Ability,
+    Candidate,
     Clock,
     ControllerSide,
     DeviceError,
@@ -64,7 +66,7 @@ SLACK_MM = 5.0  # the slide may read so far beyond its travel before that is a r
 
 
 class CanopenRail:
-    """Satisfies `hilcell.ports.Rail` and `hilcell.ports.Jogs`."""
+    """Satisfies `hilcell.ports.Rail`, `Jogs`, `Inspects` and `Discovers`."""
 
     LATE_S = 0.8  # below the consumer time of the drive (1016h)
     WINDOW_MM = 0.05
@@ -295,6 +297,25 @@ class CanopenRail:
                 self._release(self._link, self._image)
         finally:
             self._close_link()
+
+    @classmethod
+    def discover(cls, known: Mapping[str, object]) -> list[Candidate]:
+        """As `hilcell.ports.Discovers`: by listening, and by an upload of 1000h from each node."""
+        return bus_scan.discover(known)
+
+    def inspect(self) -> list[Ability]:
+        """As `hilcell.ports.Inspects`, by SDO uploads alone; of a strip on the drive's bus, too."""
+        o, check = self._options, self._clock.check
+        link = CanLink(open_bus(o.interface, o.channel, o.bitrate), self._clock)
+        try:
+            drive = open_channel(link, o.drive_node, "drive.eds", check)
+            found = [*requirements.inspect(drive, "Drive", requirements.DRIVE)]
+            if o.strip is None:
+                strip = open_channel(link, o.strip_node, "strip.eds", check)
+                found += requirements.inspect(strip, "Strip", requirements.STRIP)
+            return found
+        finally:
+            link.close()
 
     # -- connecting ---------------------------------------------------------------------------
 

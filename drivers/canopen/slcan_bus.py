@@ -63,7 +63,9 @@ class SlcanBus(can.BusABC):
     ANSWER_S = 0.3  # to a command; many gateways send none
     LONGEST_LINE = 64
 
-    def __init__(self, channel: str, bitrate: int) -> None:
+    def __init__(self, channel: str, bitrate: int, *, listens: bool = False) -> None:
+        """``listens``: listen only, which sends nothing and acknowledges no frame."""
+        self._opens = b"L" if listens else b"O"
         self._is_shutdown = True  # there is no port yet
         self.bad_lines, self.bad_line = 0, b""
         self.refused = 0
@@ -89,10 +91,10 @@ class SlcanBus(can.BusABC):
             self._taken_command()
         for command, what in (
             (b"S%d" % BIT_RATES.index(bitrate), f"the bit rate {bitrate}"),
-            (b"O", "to open the channel"),
+            (self._opens, "to open the channel"),
         ):
             self._put(command + b"\r")
-            if self._taken_command(command == b"O") is False:
+            if self._taken_command(command == self._opens) is False:
                 raise can.CanInitializationError(
                     f"the gateway refuses {what} (it answers BELL to {command.decode()})"
                 )

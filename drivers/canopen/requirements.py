@@ -1,0 +1,118 @@
+"""Objects that drive and strip sensor must have, or may lack, as one table.
+
+`docs/hardware.md` shows it, and `inspect` compares it with a device: by reading alone, so an object
+that can be read but not written shows only at connect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from drivers.canopen.sdo import ABSENT, Aborted, SdoChannel
+from hilcell.ports import Ability
+
+Need = Literal["mandatory", "optional"]
+
+
+@dataclass(frozen=True, slots=True)
+class Requirement:
+    """One object; ``instead`` replaces an optional one.
+
+    ``sub`` -1: an array or a plain value, as the maker likes.
+    """
+
+    index: int
+    sub: int
+    purpose: str
+    needed: Need = "mandatory"
+    instead: str = ""
+
+    @property
+    def name(self) -> str:
+        return f"{self.index:04X}h" + (f":{self.sub:02X}" if self.sub > 0 else "")
+
+
+def _may(index: int, sub: int, purpose: str, instead: str) -> Requirement:
+    return Requirement(index, sub, purpose, "optional", instead)
+
+
+COMMON = (
+    Requirement(0x1000, 0, "device profile"),
+    Requirement(0x1001, 0, "error register"),
+    Requirement(0x1017, 0, "producer heartbeat"),
+    Requirement(0x1018, 1, "vendor"),
+    _may(0x1018, 2, "product", "not compared"),
+    _may(0x1018, 4, "serial number", "not compared"),
+    _may(0x1008, 0, "name", "vendor and product"),
+)
+DRIVE = (
+    *COMMON,
+    Requirement(0x1016, 1, "consumer heartbeat: notices that the PC has died"),
+    Requirement(0x1400, 1, "an RPDO for 6040h with 607Ah; a fixed mapping of the two suffices"),
+    Requirement(0x1800, 1, "a TPDO on SYNC for 6041h with 6064h; a fixed mapping suffices"),
+    Requirement(0x1801, 1, "a TPDO on SYNC for 606Ch; a fixed mapping suffices"),
+    Requirement(0x6007, 0, "abort connection option: takes 3, quick stop"),
+    Requirement(0x6040, 0, "control word"),
+    Requirement(0x6041, 0, "status word"),
+    Requirement(0x605A, 0, "quick-stop option: takes 2; 1 without 6085h"),
+    Requirement(0x6060, 0, "mode of operation: takes 1 and 6; write-only is accepted"),
+    Requirement(0x6061, 0, "mode shown, in a PDO or by SDO"),
+    Requirement(0x6064, 0, "position"),
+    Requirement(0x606C, 0, "speed"),
+    Requirement(0x607A, 0, "target position"),
+    Requirement(0x6081, 0, "speed of motions"),
+    Requirement(0x6083, 0, "ramp of motions"),
+    _may(0x6098, 0, "homing method", 'homing = "absolute"'),
+    _may(0x6099, 1, "homing speeds", "not needed for homing 35, 37 or absolute"),
+    _may(0x607C, 0, "home offset", "home_mm = 0; needed for homing 35 and 37"),
+    _may(0x6084, 0, "braking ramp", "6083h holds for both"),
+    _may(0x6085, 0, "quick-stop ramp", "605Ah = 1"),
+    _may(0x605E, 0, "fault reaction", "the drive's own"),
+    _may(0x609A, 0, "ramp of homing", "the drive's own"),
+    _may(0x6067, 0, "position window", "hilcell judges the position"),
+    _may(0x606F, 0, "velocity threshold", "hilcell judges standstill"),
+    _may(0x603F, 0, "error code", "the emergency"),
+    _may(0x60FD, 0, "limit switches", "the end of the travel"),
+    _may(0x6090, 1, "counts of a turn", "counts_per_turn"),
+    _may(0x60A8, 0, "unit of position", "counts_per_mm"),
+    _may(0x60A9, 0, "unit of speed", "speed_unit"),
+    _may(0x6502, 0, "supported modes", "the answer to 6060h"),
+)
+STRIP = (
+    *COMMON,
+    Requirement(0x1800, 1, "a TPDO on SYNC for 6004h; a fixed mapping suffices"),
+    Requirement(0x6004, 0, "position"),
+    _may(0x6005, -1, "measuring step", "strip_counts_per_mm"),
+    _may(0x6501, 0, "position step", "strip_counts_per_mm"),
+    _may(0x6503, 0, "alarms", "error register and emergencies 73xxh"),
+    _may(0x6504, 0, "supported alarms", "those of 6503h are believed"),
+)
+
+
+def table() -> str:
+    """Return both lists in Markdown."""
+    rows = [
+        f"| {node} | {each.name} | {each.purpose} | {each.needed} | {each.instead or '-'} |"
+        for node, requirements in (("drive", DRIVE), ("strip", STRIP))
+        for each in requirements
+    ]
+    head = ("| node | object | purpose | needed | else |", "|---|---|---|---|---|")
+    return "\n".join((*head, *rows)) + "\n"
+
+
+def inspect(sdo: SdoChannel, device: str, requirements: Iterable[Requirement]) -> Iterator[Ability]:
+    """Compare a node with its list; raises `DeviceError` where it does not answer."""
+    for each in requirements:
+        feature = f"{each.name} {each.purpose}"
+        try:
+            data = sdo.read_bytes(each.index, max(0, each.sub))
+        except Aborted as refusal:
+            if refusal.abort_code in ABSENT:
+                yield Ability(device, feature, "has not", each.needed, each.instead)
+                continue
+            note = f"does not let it be read ({refusal.found})"
+        else:
+            note = f"0x{int.from_bytes(data, 'little'):X}" if len(data) <= 4 else ""
+        yield Ability(device, feature, "has", each.needed, note)
