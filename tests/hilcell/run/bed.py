@@ -189,7 +189,7 @@ def waiting(limit_s: float) -> Cell:
     return msgspec.structs.replace(CELL, plan=plan)
 
 
-def broken_beam(times: int, *, after: int = 0) -> Callable[[], None]:
+def broken_beam(times: int, *, after: int = 0, code: str = "HC-T10") -> Callable[[], None]:
     """Return an answer of the tracker that fails so many times, ``after`` good ones."""
     left, good = [times], [after]
 
@@ -198,6 +198,6 @@ def broken_beam(times: int, *, after: int = 0) -> Callable[[], None]:
             good[0] -= 1
         elif left[0]:
             left[0] -= 1
-            raise NoReading("HC-T10", "Tracker", "measure", "beam broken")
+            raise NoReading(code, "Tracker", "measure", "beam broken")
 
     return answer

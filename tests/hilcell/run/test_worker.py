@@ -138,7 +138,7 @@ FOR_EVER_S = 1e12
 
 def test_it_suspends_and_goes_on_when_the_reading_is_good_again(tmp_path: Path) -> None:
     bed = Bed(tmp_path, cell=waiting(60.0))
-    bed.tracker.answer = broken_beam(Meter.TRIES + 2, after=1)
+    bed.tracker.answer = broken_beam(Meter.TRIES + 2)
     assert bed.run(procedure(Points(2))) == 0
     assert bed.states() == ["checking", "running", "suspended", "running", "finished"]
     went_on = [r.body for r in bed.records("state") if r.body.get("by")]
@@ -148,22 +148,22 @@ def test_it_suspends_and_goes_on_when_the_reading_is_good_again(tmp_path: Path) 
 
 def test_a_cause_that_stays_is_a_fault_with_its_own_code(tmp_path: Path) -> None:
     bed = Bed(tmp_path, cell=waiting(100.0))
-    bed.tracker.answer = broken_beam(1000, after=1)
+    bed.tracker.answer = broken_beam(1000, after=1, code="HC-T11")
     assert bed.run(procedure(Points(2))) == 3
     assert bed.states() == ["checking", "running", "suspended", "faulted"]
-    assert bed.log().life[-1].change.error["code"] == "HC-T10"
+    assert bed.log().life[-1].change.error["code"] == "HC-T11"
     assert bed.rail.closed == 1
 
 
 def test_the_very_first_nest_is_not_waited_for(tmp_path: Path) -> None:
-    """Nobody has shown yet that the cell file fits the hall: a person is needed."""
+    """No reflector there: nobody has shown yet that the cell file fits the hall."""
     bed = Bed(tmp_path, cell=waiting(FOR_EVER_S))
-    bed.tracker.answer = broken_beam(Meter.TRIES)
+    bed.tracker.answer = broken_beam(Meter.TRIES, code="HC-T11")
     assert bed.run(procedure(Points(1))) == 3
     assert bed.states() == ["checking", "running", "faulted"]
     end = bed.log().end
     assert end is not None
-    assert end.error["code"] == "HC-T10"
+    assert end.error["code"] == "HC-T11"
     bed.tracker.answer = lambda: None
     assert bed.run(procedure(Points(1))) == 0  # resumed once it is seen
 
