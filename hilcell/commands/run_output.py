@@ -184,8 +184,9 @@ class ProgressOutput(RunOutput):
                 reason = f"{change.prompt['title']}. {change.prompt['text']} When it is done, "
             resume = command_on(self._folder, "resume")
             proceed = f"`{resume}` continues, ctrl-C stops"
-            for choice in [] if change.prompt is None else change.prompt.get("choices", ()):
-                proceed += f"; `{resume} --answer {choice['name']}`: {choice['text']}"
+            choices = [] if change.prompt is None else change.prompt.get("choices", [])
+            if words := [f"{each['name']} ({each['text']})" for each in choices]:
+                proceed += f"; other answers, by --answer: {', '.join(words)}"
             self._print(f"{change.to}: {reason}{proceed}")
 
     def _print(self, text: str) -> None:
