@@ -36,6 +36,7 @@ from drivers.canopen.nodes import (
 from drivers.canopen.process_image import ProcessImage, ReadStrip, Snapshot
 from drivers.canopen.sdo import SdoChannel, open_channel
 from drivers.canopen.slcan_bus import Interface, bus_problems
+from drivers.canopen.vendor_profiles import vendor_profile
 from drivers.device_errors import RAIL
 from drivers.slide import READINGS, Rest, Standstill, Windows, check_travel, strip_spread
 from drivers.strips import (
@@ -75,7 +76,7 @@ class CanopenRail:
         """The bus, the two nodes, their scales and units, and how the drive gets its reference.
 
         ``counts_per_mm`` is negative where a drive counts down while the slide moves up.
-        ``speed_unit`` "" is what the drive states in 60A9h, else counts/s; ``acceleration_unit`` ""
+        ``speed_unit`` "": that of 60A9h, else of the make, else counts/s. ``acceleration_unit`` ""
         belongs to it; ``counts_per_turn`` 0 is what the drive states.
         """
 
@@ -422,8 +423,12 @@ class CanopenRail:
                 object=where,
                 stated=value,
             )
-        speed = given or stated.speed or Unit.of("counts/s")
-        ramp = Unit.of(o.acceleration_unit or speed.per_second())
+        make = vendor_profile(sdo.read(Object.IDENTITY, 1))
+        speed, ramp_text = given or stated.speed, o.acceleration_unit
+        if speed is None and make is not None:
+            speed, ramp_text = Unit.of(make.speed_unit), ramp_text or make.acceleration_unit
+        speed = speed or Unit.of("counts/s")
+        ramp = Unit.of(ramp_text or speed.per_second())
         per_turn = o.counts_per_turn or stated.turn_counts or 0.0
         if not per_turn and (speed.of_turns or ramp.of_turns):
             raise RAIL.refused(
