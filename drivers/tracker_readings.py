@@ -134,6 +134,7 @@ def off_target(off_mm: float, radius_mm: float, operation: str = "measure") -> N
         expected=f"<= {radius_mm:.2f} mm",
         off_mm=off_mm,
         limit_mm=radius_mm,
+        searched_mm=radius_mm,
     )
 
 

@@ -319,9 +319,9 @@ class TwoFaces(Protocol):
 class Searches(Protocol):
     """A tracker that can search more widely than within the radius of its options.
 
-    A `NoReading` of a search or a measurement that found no reflector has ``searched_mm`` in its
-    fields, the radius, and ``beam`` (3,) where the tracker tells: the direction in which it looked,
-    a unit vector in its frame.
+    A `NoReading` of a search or a measurement that found no reflector there has ``searched_mm`` in
+    its fields, the radius, and ``beam`` (3,) where the tracker tells: the direction in which it
+    looked, a unit vector in its frame.
     """
 
     def search(

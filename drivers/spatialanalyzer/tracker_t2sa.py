@@ -434,7 +434,12 @@ class T2saTracker:
             name, named_mm, _ = points.aim(near_mm, search_mm, list(others_mm.values()))
             if name in others_mm:
                 break
-            xyz_mm = self._measured(name, named_mm)
+            try:
+                xyz_mm = self._measured(name, named_mm)
+            except NoReading as error:
+                if error.code == "HC-T11":
+                    error.fields["searched_mm"] = search_mm
+                raise
             off_mm = float(np.linalg.norm(xyz_mm - near_mm))
             if off_mm <= limit_mm:
                 return xyz_mm

@@ -22,8 +22,6 @@ from hilcell.run.interlocks import check_held, check_strip, reading_time
 from hilcell.run.mover import Mover
 from hilcell.run.prompts import FLANGE, WIDER_MM, Prompt, Verification, where_looked
 
-NOT_THERE = ("HC-T11", "HC-T12", "HC-T16")  # no reflector, another kind, or one elsewhere
-
 
 class Meter(Mover):
     """Measures at the present pose and journals the point; prompts where the tracker sees nothing
@@ -52,7 +50,8 @@ class Meter(Mover):
                 failed, cause = error, error.of_point(key)
                 said, facts = str(error), cause.facts()
                 self.add(NoReadingOf(key=key, tries=tries, reason=said, error=facts))
-        unproven = failed.code in NOT_THERE and place in self._unframed and not self.log.points
+        not_there = "searched_mm" in failed.fields  # a reflector that was not found
+        unproven = not_there and place in self._unframed and not self.log.points
         if looked := where_looked(near_mm, failed):
             cause.found += f"; expected {looked}"
         self.ask(

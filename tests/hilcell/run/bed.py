@@ -198,6 +198,7 @@ def broken_beam(times: int, *, after: int = 0, code: str = "HC-T10") -> Callable
             good[0] -= 1
         elif left[0]:
             left[0] -= 1
-            raise NoReading(code, "Tracker", "measure", "beam broken")
+            fields = {"searched_mm": 50.0} if code == "HC-T11" else {}
+            raise NoReading(code, "Tracker", "measure", "beam broken", fields=fields)
 
     return answer
