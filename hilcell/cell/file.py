@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import math
+import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, partial
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta, field
@@ -216,6 +217,37 @@ class CertificateTable(Frozen, frozen=True, kw_only=True):
     customer: str = ""
     customer_address: str = ""
     customer_email: str = ""
+
+
+NotifyEvent = Literal["end", "prompt", "suspension", "alarm"]
+
+
+class NotifyTable(Frozen, frozen=True, kw_only=True):
+    """The command that runs at events of a run (`hilcell.run.notify`): a program and its arguments,
+    as a list, or as one text that is split as a shell splits it. No shell runs it.
+    """
+
+    command: str | list[str]
+    events: list[NotifyEvent] = field(
+        default_factory=lambda: ["end", "prompt", "suspension", "alarm"]
+    )
+
+    def __post_init__(self) -> None:
+        words = self.words
+        if not words or not words[0]:
+            raise ValueError("command: expected a program and its arguments, got none")
+        if any("\0" in word for word in words):
+            raise ValueError("command: expected no NUL character")
+
+    @property
+    def words(self) -> list[str]:
+        """The program and its arguments; raises `ValueError` for a quotation without an end."""
+        if isinstance(self.command, list):
+            return self.command
+        try:
+            return shlex.split(self.command)
+        except ValueError as error:
+            raise ValueError(f"command: {error}".replace("No c", "no c")) from None
 
 
 Kelvin = Annotated[float, Meta(gt=0, le=60)]
@@ -437,13 +469,14 @@ class Cell(Frozen, frozen=True, kw_only=True):
     iso9283: Iso9283Table = field(default_factory=Iso9283Table)
     campaign: CampaignTable | None = None
     targets: TargetsTable | None = None
+    notify: NotifyTable | None = None
     simulation: SimulationTable | None = None
 
     # Work done with the cell, its speed, its evaluation and descriptions: no effect on a measured
     # point.
     OUTSIDE_DIGEST = (
         "simulation", "plan", "sweeps", "keep_out", "uncertainty", "touch", "recheck", "targets",
-        "certificate", "iso9283", "tool", "rail.homing_mm_s", "rail.standstill_dwell_s",
+        "certificate", "iso9283", "notify", "tool", "rail.homing_mm_s", "rail.standstill_dwell_s",
         "robot.ramp_s", "robot.first_pass_percent", "robot.first_pass_pause", "robot.envelope",
         "robot.rp_mm", "tracker.pointing_s", "tracker.reading_s", "layout.reflectors",
         "layout.max_tool_std_mm", "layout.base_tolerance_mm",

@@ -277,6 +277,15 @@ class ChangesAccepted(Event, frozen=True, kw_only=True, tag="changes accepted"):
         return f"{self.what} by {self.by}: {'; '.join(self.changes)}"
 
 
+class NotificationFailed(Reasoned, frozen=True, kw_only=True, tag="notification failed"):
+    """The command of the cell file's [notify] failed at an event of the run."""
+
+    event: str
+
+    def _text(self) -> str:
+        return f"notification of {self.event} failed{after(self.reason)}"
+
+
 class InternalError(Event, frozen=True, kw_only=True, tag="internal error"):
     """A defect of hilcell or of a driver, with its traceback."""
 

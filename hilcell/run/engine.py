@@ -23,7 +23,7 @@ from hilcell.atomic_files import NotWritten
 from hilcell.calibration.file import write_calibration
 from hilcell.calibration.from_run import calibration_after
 from hilcell.cell.devices import build_devices, device_addresses, is_replay, start_simulation
-from hilcell.cell.file import Cell
+from hilcell.cell.file import Cell, NotifyTable, load_cell
 from hilcell.clock import WallClock
 from hilcell.decoding import Json
 from hilcell.errors import EXIT_STORAGE, exit_code
@@ -40,6 +40,7 @@ from hilcell.model.records import Ended
 from hilcell.ports import Clock, HilcellError
 from hilcell.run.cell_lock import CellLocked, lock_of_device, lock_of_name, locked, locks_folder
 from hilcell.run.control import Control
+from hilcell.run.notify import Notifier
 from hilcell.run.order import Attendance, Order, Resume
 from hilcell.run.run_plan import Changes, NewRun, ResumedRun, RunPlan, cell_file
 from hilcell.run.runner import Runner, finish
@@ -112,17 +113,43 @@ class Engine:
     def run(self, output: _Output) -> Ending:
         """Perform the run and write the calibration."""
         journal, log = self.journal, self.journal.log
-        journal.listen(output.take)
+        over = False
+
+        def take(record: Record) -> None:
+            """Print up to the end, which is the last line: a failed notification may follow."""
+            nonlocal over
+            if not over:
+                output.take(record)
+            over |= record.kind == "end"
+
+        journal.listen(take)
         self._begin()
         output.skip_measured(key for key, at in log.points.items() if at.id.group != CONTROL)
         noted = note_signals()
         with ExitStack() as stack:
             stack.callback(journal.close)
-            stack.enter_context(output)
             if log.state == "finished" and not log.retakes:
+                stack.enter_context(output)
                 ending = Ending(finish(self.plan.procedure, journal), None)
                 return self._with_calibration(ending)
-            return self._perform(noted)
+            notifier = self._notifier()
+            if notifier is not None:
+                stack.enter_context(notifier)
+            stack.enter_context(output)
+            ending = self._perform(noted)
+            if notifier is not None:
+                notifier.ended(ending.code, ending.fault)
+            return ending
+
+    def _notify_table(self) -> NotifyTable | None:
+        """Return the command to run at events, as the cell file has it."""
+        return self.plan.cell.notify
+
+    def _notifier(self) -> Notifier | None:
+        table = self._notify_table()
+        if table is None:
+            return None
+        return Notifier(table, self.journal, self.plan.folder, self._say)
 
     def _perform(self, noted: list[signal.Signals]) -> Ending:
         """Connect and perform; failures before the runner exists are journalled here."""
@@ -289,6 +316,16 @@ class ResumedEngine(Engine):
                 "move it elsewhere"
             )
         return journal
+
+    def _notify_table(self) -> NotifyTable | None:
+        """Return that of the cell file as it is now: a journal may come from anywhere."""
+        inputs = self.journal.log.inputs
+        try:
+            return load_cell(inputs.cell_file, inputs.settings).notify
+        except HilcellError as error:
+            if self.plan.cell.notify is not None:
+                self._say(f"warning: no notifications: {error}")
+            return None
 
     def agree(self) -> None:
         """Journal that the operator agrees to all changes."""

@@ -40,6 +40,7 @@ SECTIONS: dict[str, type[msgspec.Struct]] = {
     "[[tool]]": cell.ToolTable,
     "[uncertainty]": UncertaintyTable,
     "[certificate]": cell.CertificateTable,
+    "[notify]": file.NotifyTable,
     "[recheck]": file.RecheckTable,
     "[iso9283]": Iso9283Table,
     "[targets]": file.TargetsTable,
