@@ -144,7 +144,7 @@ def fit_base(
         U = U + step[6:]
         if np.linalg.norm(step[[0, 1, 2, 6, 7, 8]]) < 1e-7:
             break
-    covariance = sigma**2 * np.linalg.inv(normal + 1e-9 * np.eye(9))
+    covariance = np.asarray(sigma**2 * np.linalg.inv(normal + 1e-9 * np.eye(9)), dtype=float)
     return BaseFit(T, U, covariance, seen_mm - apply(T, R_F @ U + t_F))
 
 
