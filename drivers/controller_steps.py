@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import msgspec
+from hilcell.decoding import typed
 
 
 def steps(text: str, **values: object) -> list[str]:
@@ -22,5 +22,5 @@ def reflector(options: Mapping[str, object]) -> str:
     """Return the place of the reflector's centre on the flange, or "" where it is not known."""
     if "smr_mm" not in options:
         return ""
-    smr_mm = msgspec.convert(options["smr_mm"], tuple[float, float, float])
+    smr_mm = typed(options["smr_mm"], tuple[float, float, float])
     return ": " + ", ".join(f"{axis} {mm:.3f} mm" for axis, mm in zip("XYZ", smr_mm, strict=True))

@@ -579,6 +579,8 @@ class RepeatsRun(Protocol):
 class RecordingEnded(HilcellError):
     """A run has come to the end of the recording that it repeats: no device was reached."""
 
+    code = "HC-C26"
+
 
 class InProcessCell(Protocol):
     """A simulated cell without wires, built of a cell and a machine's seed; time is event time."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterator
 from importlib import resources
 
@@ -9,6 +10,7 @@ import msgspec
 
 from drivers.canopen.drive_units import unit_problems
 from hilcell.cell.settings import refuse
+from hilcell.decoding import typed
 
 
 class VendorProfile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -26,7 +28,7 @@ class VendorProfile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 def vendor_profiles() -> Iterator[VendorProfile]:
     for entry in (resources.files("drivers.canopen") / "profiles").iterdir():
         if entry.name.endswith(".toml"):
-            yield msgspec.toml.decode(entry.read_bytes(), type=VendorProfile)
+            yield typed(tomllib.loads(entry.read_text("utf-8")), VendorProfile)
 
 
 def vendor_profile(vendor: int) -> VendorProfile | None:

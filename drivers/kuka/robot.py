@@ -50,6 +50,7 @@ from drivers.supervision import (
     state_error,
 )
 from hilcell.cell.file import Joint
+from hilcell.decoding import typed
 from hilcell.geometry.frames import from_zyx, matrix
 from hilcell.ports import (
     Ability,
@@ -105,7 +106,7 @@ def candidates(
     if not isinstance(host, str):
         return []
     (usual,) = (each.default for each in fields(options) if each.name == "port")
-    port = msgspec.convert(known.get("port", usual), int)
+    port = typed(known.get("port", usual), int)
     address = f"{host}:{port}"
     found: dict[str, object] = {"host": host, "port": port}
     try:

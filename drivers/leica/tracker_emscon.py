@@ -54,6 +54,7 @@ from drivers.tracker_readings import (
 )
 from drivers.wires import TcpLink
 from hilcell.clock import WallClock
+from hilcell.decoding import typed
 from hilcell.ports import (
     Ability,
     Air,
@@ -174,7 +175,7 @@ class LeicaEmsconTracker:
         given = {name: known[name] for name in ("host", "port") if name in known}
         anything = {"reflector": "", "max_std_mm": 1.0, "find_radius_mm": 1.0}
         try:
-            tracker = cls(msgspec.convert(given | anything, cls.Options), WallClock(Event()))
+            tracker = cls(typed(given | anything, cls.Options), WallClock(Event()))
             tracker._open()
             with closing(tracker):
                 identity = tracker._identity(tracker._system_status())

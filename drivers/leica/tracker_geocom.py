@@ -48,6 +48,7 @@ from drivers.tracker_readings import (
 )
 from drivers.wires import Link, TextLines, open_link
 from hilcell.clock import WallClock
+from hilcell.decoding import typed
 from hilcell.ports import (
     Ability,
     Array,
@@ -385,7 +386,7 @@ class LeicaGeocomTracker:
             ]
         anything = {"reflector": "", "max_std_mm": 1.0, "find_radius_mm": 1.0}
         try:
-            options = msgspec.convert({"channel": channel, **anything}, cls.Options)
+            options = typed({"channel": channel, **anything}, cls.Options)
             tracker = cls(options, WallClock(Event()))
             link = tracker._open()
             with closing(tracker):

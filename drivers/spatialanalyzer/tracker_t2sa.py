@@ -44,6 +44,7 @@ from drivers.tracker_readings import (
 from drivers.wires import TcpLink, TextLines
 from hilcell.cell.settings import SettingsError
 from hilcell.clock import WallClock
+from hilcell.decoding import typed
 from hilcell.ports import (
     Ability,
     Array,
@@ -240,7 +241,7 @@ class T2saTracker:
         given = {name: known[name] for name in ("host", "port") if name in known}
         anything = {"reflector": "", "max_std_mm": 1.0, "find_radius_mm": 1.0}
         try:
-            tracker = cls(msgspec.convert(given | anything, cls.Options), WallClock(Event()))
+            tracker = cls(typed(given | anything, cls.Options), WallClock(Event()))
             link = tracker._open()
             with closing(tracker):
                 state = tracker._exchange(cls.STATUS).text

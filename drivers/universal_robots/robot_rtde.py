@@ -46,6 +46,7 @@ from drivers.universal_robots.first_contact import (
 from drivers.universal_robots.rtde import Dashboard, Order, Runtime, UrLink, UrState
 from drivers.wires import TcpLink
 from hilcell.cell.file import Joint
+from hilcell.decoding import typed
 from hilcell.ports import (
     Ability,
     Array,
@@ -217,7 +218,7 @@ class UrRtdeRobot:
         if not isinstance(host, str):
             return []
         ports = {
-            name: msgspec.convert(known.get(name, usual[name]), int)
+            name: typed(known.get(name, usual[name]), int)
             for name in ("rtde_port", "script_port", "dashboard_port")
         }
         found: dict[str, object] = {"host": host, **{n: p for n, p in ports.items() if n in known}}

@@ -266,4 +266,4 @@ class RecordedClock:
         if self._stop.is_set():
             raise Stopped("a stop was asked for")
         if found := self._time.left():
-            raise RecordingEnded(f"{found}; {self._act}", code="HC-C26")
+            raise RecordingEnded(f"{found}; {self._act}")

@@ -26,12 +26,12 @@ from hilcell.journal.runs_folder import command_in, command_on
 from hilcell.model.events import CalibrationUsed
 from hilcell.model.outcome import Figure, Outcome
 from hilcell.model.verdicts import OTHERS, VALIDATION, Judged, PoseTested, Rechecked, Verdict
+from hilcell.ports import RecordingEnded
 from hilcell.sanitize import counted, encodable, harmless
 
 RECHECKED = {"valid": "STILL VALID", "update": "UPDATED", "redo": "CALIBRATE AGAIN"}
 MOST_REASONS = 2
 DEFAULT_CELL = "paper"  # of the commands
-RECORDING_ENDED = "HC-C26"  # the run cannot continue: its recording has no more
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +104,7 @@ def _faulted(log: Log, folder: Path, error: Json, code: int) -> _Words:
     refused = code == EXIT_REFUSED
     kept = "nothing has moved" if refused and not log.moved else _progress(log)
     ends = any(entry.then == "new run" for entry in entries)
-    lost = ends and any(each.startswith("HC-J") or each == RECORDING_ENDED for each in codes)
+    lost = ends and any(each.startswith("HC-J") or each == RecordingEnded.code for each in codes)
     if ends and not refused:
         commands.append(f"{_new_run(log, folder)} (a new run is advised)")
     if code in RESUMABLE and not lost:

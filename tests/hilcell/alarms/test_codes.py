@@ -133,6 +133,7 @@ ORDINARY = {
     "calibration revoked",
     "calibration used",
     "factory links",
+    "notification failed",
     "order",
     "poses chosen",
     "room back",

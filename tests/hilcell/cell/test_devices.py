@@ -134,7 +134,16 @@ def test_a_network_of_can_has_no_syntax_of_a_serial_line() -> None:
 
 
 def test_what_the_drivers_can_is_known_before_anything_is_opened() -> None:
-    able = {"tracker_streams": True, "tracker_turns_over": True, "robot_sweeps": True}
+    able = dict.fromkeys(
+        (
+            "tracker_streams",
+            "tracker_turns_over",
+            "tracker_searches",
+            "tracker_aims",
+            "robot_sweeps",
+        ),
+        True,
+    )
     assert abilities(load_cell("paper")) == able
 
 

@@ -79,7 +79,7 @@ class Bed:
         fresh = not self.path.exists()
         self.journal = RunJournal(self.path, "r", create=fresh)
         if fresh:
-            self.journal.append("plan", "", PLAN)
+            self.journal.append("plan", "", PLAN | {"cell": msgspec.to_builtins(self.cell)})
 
     def runner(self, what: Procedure, changes: Changes = NO_CHANGES) -> Runner:
         self.open_journal()

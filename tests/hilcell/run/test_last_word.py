@@ -52,7 +52,7 @@ FAULTS: list[tuple[int, Exception | None, list[str], list[str]]] = [  # said, ne
         ["damaged"], ["hilcell explain HC-J13", "{run} (a new run is advised)"],
     ),
     (
-        3, RecordingEnded("it ends here", code="HC-C26"),
+        3, RecordingEnded("it ends here"),
         ["ends here"], ["hilcell explain HC-C26", "{run} (a new run is advised)"],
     ),
     (
