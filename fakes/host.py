@@ -170,7 +170,7 @@ class Host:
         duration_s = float(order["s"])
         if not (math.isfinite(duration_s) and duration_s >= 0):
             raise ValueError(f"wait {duration_s} s")
-        self._time.advance(duration_s)
+        self._time.wait(duration_s)
         self._time.catch_up()
         return {"now_s": self._time.now_s()}
 

@@ -67,7 +67,7 @@ class EventClock:
         return self._time.now_s()
 
     def wait(self, duration_s: float) -> None:
-        self._time.advance(duration_s)
+        self._time.wait(duration_s)
 
     def check(self) -> None:
         """Do nothing: a study's run stops only with its process."""

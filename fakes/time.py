@@ -3,7 +3,9 @@
 Stepped time advances by the waits of the engine on the control channel, and by the polls of a
 moving device: each advances by a third of the motion, at most to its end. So a run takes the same
 simulated time on any PC. While a motion is followed (by a streaming tracker), a poll advances by
-the time of an exchange with a controller, and the followers work before the poll is answered.
+the time of an exchange with a controller, and the followers work before the poll is answered. So
+does a poll of a PC that has waited no longer than that since the motion's start: it guards a small
+motion closely.
 
 Heartbeats, watchdogs and timers of a controller run in real time at any pace, as the PC's do.
 """
@@ -61,6 +63,7 @@ class CellTime:
         self._stepped_s = 0.0
         self._start_s = time.monotonic()
         self._followers: tuple[Callable[[], None], ...] = ()
+        self._short_wait_s = -math.inf  # end of the PC's last wait, if it was a short one
 
     def now_s(self) -> float:
         if self.stepped:
@@ -73,6 +76,12 @@ class CellTime:
             with self._lock:
                 self._stepped_s += duration_s
 
+    def wait(self, duration_s: float) -> None:
+        """Advance stepped time by a wait of the PC."""
+        self.advance(duration_s)
+        short = 0.001 <= duration_s <= self.EXCHANGE_S  # not the rest of a long one
+        self._short_wait_s = self.now_s() if short else -math.inf
+
     def passing(self, duration_s: float) -> Iterator[float]:
         """Let ``duration_s`` pass; in paced time yield the remaining real seconds until then."""
         self.advance(duration_s)
@@ -84,7 +93,8 @@ class CellTime:
         """Return the time after a poll of a motion from ``start_s`` to ``end_s``."""
         if self.stepped:
             with self._lock:
-                step_s = self.EXCHANGE_S if self._followers else (end_s - start_s) / 3.0
+                closely = bool(self._followers) or self._short_wait_s >= start_s
+                step_s = self.EXCHANGE_S if closely else (end_s - start_s) / 3.0
                 self._stepped_s = max(self._stepped_s, min(end_s, self._stepped_s + step_s))
         return self.now_s()
 

@@ -300,6 +300,7 @@ class Drive:
         jog.add(now, self.slide.now_s)
         self._image.control(Control.START, target)
         while True:
+            self._clock.wait(self.JOG_POLL_S)
             now = self.slide.poll(operation)
             jog.add(now, self.slide.now_s)
             at_rest.add(now, self.slide.now_s)
@@ -323,7 +324,6 @@ class Drive:
                     expected=f"{limits.mm(target)}, at rest",
                     spent_s=bounds.spent_s,
                 )
-            self._clock.wait(self.JOG_POLL_S)
 
     def _check_jog(self, operation: str, now: Snapshot) -> None:
         where, code, found = self._limits.mm(now.position), "", ""

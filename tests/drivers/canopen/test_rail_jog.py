@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ import pytest
 
 from drivers.canopen.rail import CanopenRail
 from fakes.canopen.rail_device import RailDevice
+from fakes.in_process import EventClock
 from hilcell.clock import WallClock
 from tests.drivers.canopen.test_units_of_the_drive import PACE, SlowClock
 from tests.drivers.peers import refusal
@@ -47,17 +48,21 @@ class FastClock(WallClock):
         super().wait(duration_s / FAST)
 
 
+def options_of(bench: Bench, **options: Any) -> CanopenRail.Options:
+    values: dict[str, Any] = {
+        "channel": f"socket://127.0.0.1:{bench.server.port}",
+        "travel_min_mm": 0.0,
+        "travel_max_mm": 3000.0,
+        "speed_mm_s": 250.0,
+        "acceleration_mm_s2": 200.0,
+    }
+    return CanopenRail.Options(**(values | options))
+
+
 @contextmanager
 def connected(device: RailDevice, **options: Any) -> Iterator[tuple[CanopenRail, Bench]]:
     with served(speed=PACE, device=device) as bench:
-        values: dict[str, Any] = {
-            "channel": f"socket://127.0.0.1:{bench.server.port}",
-            "travel_min_mm": 0.0,
-            "travel_max_mm": 3000.0,
-            "speed_mm_s": 250.0,
-            "acceleration_mm_s2": 200.0,
-        }
-        rail = CanopenRail(CanopenRail.Options(**(values | options)), SlowClock())
+        rail = CanopenRail(options_of(bench, **options), SlowClock())
         rail.connect()
         try:
             yield rail, bench
@@ -83,6 +88,28 @@ def test_a_jog_stays_within_its_bound(trap: str, distance_mm: float, bound_mm: f
             ratio = np.ptp(trace.strip_mm) / np.ptp(trace.drive_mm)
             expected = {"scale x 0.9": 0.9, "scale x 10": 10.0}.get(trap, 1.0)
             assert ratio == pytest.approx(expected, rel=0.08)
+
+
+@pytest.mark.parametrize("trap", TRAPS)
+@pytest.mark.parametrize("second", [(0.5, 2.0), (5.0, 8.0)])
+def test_a_jog_stays_within_its_bound_in_stepped_time(
+    trap: str, second: tuple[float, float]
+) -> None:
+    with served(device=TRAPS[trap]) as bench:
+        rail = CanopenRail(options_of(bench), EventClock(bench.server._time))
+        with closing(rail):
+            rail.connect()
+            stopped_by = []
+            for distance_mm, bound_mm in ((0.05, 10.5), second):
+                began_mm = bench.rail.slide_mm()
+                trace = rail.jog(distance_mm, bound_mm=bound_mm, speed_mm_s=5.0)
+                assert np.ptp(trace.strip_mm) <= bound_mm
+                assert abs(bench.rail.slide_mm() - began_mm) <= bound_mm
+                stopped_by.append(trace.stopped_by)
+                if trace.stopped_by:
+                    break
+            expected = {"scale x 200": ["bound"], "scale x 10": ["", "bound"]}
+            assert stopped_by == expected.get(trap, ["", ""])
 
 
 def test_a_stop_on_purpose_ends_a_jog() -> None:
@@ -132,16 +159,7 @@ def test_with_rescaled_options_drive_strip_and_speed_agree(
 
 def test_exchanged_node_numbers_are_named() -> None:
     with served(device=RailDevice(drive_node=6, strip_node=5)) as bench:
-        rail = CanopenRail(
-            CanopenRail.Options(
-                channel=f"socket://127.0.0.1:{bench.server.port}",
-                travel_min_mm=0.0,
-                travel_max_mm=3000.0,
-                speed_mm_s=250.0,
-                acceleration_mm_s2=200.0,
-            ),
-            SlowClock(),
-        )
+        rail = CanopenRail(options_of(bench), SlowClock())
         found = refusal(rail.connect)
         assert (found.code, found.fields["drive_node"]) == ("HC-R08", 5)
         assert "exchanged" in found.found
@@ -158,19 +176,8 @@ def test_after_homing_drive_and_strip_agree(method: Any, sign: Any) -> None:
     )
     home_mm = {17: 3000.0}.get(method, 0.0)
     with served(speed=FAST, device=device) as bench:
-        rail = CanopenRail(
-            CanopenRail.Options(
-                channel=f"socket://127.0.0.1:{bench.server.port}",
-                travel_min_mm=0.0,
-                travel_max_mm=3000.0,
-                speed_mm_s=250.0,
-                acceleration_mm_s2=200.0,
-                counts_per_mm=-1000.0,
-                homing=method,
-                home_mm=home_mm,
-            ),
-            FastClock(),
-        )
+        options = options_of(bench, counts_per_mm=-1000.0, homing=method, home_mm=home_mm)
+        rail = CanopenRail(options, FastClock())
         rail.connect()
         rail.home()
         reading = rail.settle()
