@@ -18,6 +18,7 @@ from drivers.canopen.can_link import CanLink, LinkLost, heartbeat_period_s
 from drivers.canopen.cia import NMT, NodeCommand, NodeState, Object, Option, state_text
 from drivers.canopen.drive_units import DriveUnits
 from drivers.canopen.motion_guard import Limits
+from drivers.canopen.requirements import OPTIONAL_OF_DRIVE
 from drivers.canopen.sdo import Aborted, SdoChannel, Unsupported, open_channel
 from drivers.canopen.slcan_bus import has_long_stamp
 from drivers.device_errors import RAIL
@@ -267,11 +268,15 @@ def set_up_drive(
 ) -> None:
     """Write a drive's settings, each read back; raises `Unsupported`, or `DeviceError`.
 
-    Without 6084h the ramp up is that down (CiA 402-2), without 607Ch the offset is 0. The windows
-    of arrival and standstill only help the drive: hilcell judges both itself, and guards each
-    speed.
+    Objects that `requirements.DRIVE` has as optional may be missing, unless the options need them.
+    Without 6084h the ramp up is that down (CiA 402-2), without 607Ch the offset is 0.
     """
-    require, acceleration = sdo.require, units.of_acceleration(limits.acceleration)
+
+    def require(index: int, sub: int, value: int, what: str, *, needed: bool = False) -> None:
+        optional = index in OPTIONAL_OF_DRIVE and not needed
+        sdo.require(index, sub, value, what, optional=optional)
+
+    acceleration = units.of_acceleration(limits.acceleration)
     fast, slow = (
         units.of_speed(min(limits.speed, mm_s * limits.counts_per_mm))
         for mm_s in (homing.fast_mm_s, HOMING_SLOW_MM_S)
@@ -282,24 +287,24 @@ def set_up_drive(
     require(Object.ABORT_CONNECTION_OPTION, 0, Option.QUICK_STOP_ON_LOST_CONNECTION, stops)
     require(Object.PROFILE_VELOCITY, 0, units.of_speed(limits.speed), "speed of motions")
     require(Object.PROFILE_ACCELERATION, 0, acceleration, "ramp of motions")
-    require(Object.PROFILE_DECELERATION, 0, acceleration, "ramp of motions", optional=True)
+    require(Object.PROFILE_DECELERATION, 0, acceleration, "ramp of motions")
     if homing.method is not None:
-        require(Object.HOMING_METHOD, 0, homing.method, "homing method")
+        require(Object.HOMING_METHOD, 0, homing.method, "homing method", needed=True)
     if homing.moves:
         where = "the drive reads home_mm where it has homed"
         at = units.position(homing.counts)
-        require(Object.HOME_OFFSET, 0, at, where, optional=not at)
-        require(Object.HOMING_SPEEDS, 1, fast, "speeds of homing")
-        require(Object.HOMING_SPEEDS, 2, slow, "speeds of homing")
-        require(Object.HOMING_ACCELERATION, 0, acceleration, "ramp of homing", optional=True)
+        require(Object.HOME_OFFSET, 0, at, where, needed=at != 0)
+        require(Object.HOMING_SPEEDS, 1, fast, "speeds of homing", needed=True)
+        require(Object.HOMING_SPEEDS, 2, slow, "speeds of homing", needed=True)
+        require(Object.HOMING_ACCELERATION, 0, acceleration, "ramp of homing")
     set_quick_stop(sdo, acceleration)
     dwell_ms = min(0xFFFF, round(limits.windows.dwell_s * 1000))
     threshold = min(0xFFFF, units.of_speed(limits.windows.speed))
     window, standstill = "window of a target that is reached", "threshold of standstill"
-    require(Object.POSITION_WINDOW, 0, limits.window, window, optional=True)
-    require(Object.POSITION_WINDOW_TIME, 0, dwell_ms, window, optional=True)
-    require(Object.VELOCITY_THRESHOLD, 0, threshold, standstill, optional=True)
-    require(Object.VELOCITY_THRESHOLD_TIME, 0, dwell_ms, standstill, optional=True)
+    require(Object.POSITION_WINDOW, 0, limits.window, window)
+    require(Object.POSITION_WINDOW_TIME, 0, dwell_ms, window)
+    require(Object.VELOCITY_THRESHOLD, 0, threshold, standstill)
+    require(Object.VELOCITY_THRESHOLD_TIME, 0, dwell_ms, standstill)
 
 
 def set_quick_stop(sdo: SdoChannel, acceleration: int) -> None:

@@ -72,7 +72,9 @@ DRIVE = (
     _may(0x605E, 0, "fault reaction", "the drive's own"),
     _may(0x609A, 0, "ramp of homing", "the drive's own"),
     _may(0x6067, 0, "position window", "hilcell judges the position"),
+    _may(0x6068, 0, "position window time", "hilcell judges the position"),
     _may(0x606F, 0, "velocity threshold", "hilcell judges standstill"),
+    _may(0x6070, 0, "velocity threshold time", "hilcell judges standstill"),
     _may(0x603F, 0, "error code", "the emergency"),
     _may(0x60FD, 0, "limit switches", "the end of the travel"),
     _may(0x6090, 1, "counts of a turn", "counts_per_turn"),
@@ -89,6 +91,9 @@ STRIP = (
     _may(0x6503, 0, "alarms", "error register and emergencies 73xxh"),
     _may(0x6504, 0, "supported alarms", "those of 6503h are believed"),
 )
+
+MANDATORY_OF_DRIVE = frozenset(each.index for each in DRIVE if each.needed == "mandatory")
+OPTIONAL_OF_DRIVE = frozenset(each.index for each in DRIVE) - MANDATORY_OF_DRIVE
 
 
 def table() -> str:

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from drivers.canopen.requirements import OPTIONAL_OF_DRIVE
 from drivers.canopen.sdo import Unsupported
 from hilcell.cell.settings import SettingsError, convert
 from hilcell.ports import DeviceRefused, StripLost
@@ -344,10 +345,17 @@ def test_options_are_strict(changed: dict[str, Any], key: str) -> None:
 
 
 @pytest.mark.parametrize("code", [0x06020000, 0x06090011, 0x08000024])
-@pytest.mark.parametrize("key", [(0x607C, 0), (0x6084, 0), (0x609A, 0), (0x6067, 0), (0x606F, 0)])
+@pytest.mark.parametrize("key", [(0x607C, 0), (0x6084, 0)])
 def test_an_object_that_no_guard_needs_may_be_absent(bed: RailBed, key: Key, code: int) -> None:
     bed.peer.abort[key] = code
     works(bed.connect())
+
+
+def test_all_optional_objects_of_the_table_may_be_absent_at_once(bed: RailBed) -> None:
+    for index in OPTIONAL_OF_DRIVE:
+        bed.peer.abort |= {(index, sub): 0x06020000 for sub in range(3)}
+    bed.peer.abort |= {(0x1018, sub): 0x06090011 for sub in (2, 3, 4)}
+    works(bed.connect(homing="absolute", drive_product=0, strip_product=0))
 
 
 @pytest.mark.parametrize(
