@@ -191,6 +191,7 @@ def _whole(least: int, most: int) -> Callable[[str], int]:
 
 
 parse_seed, parse_workers = _whole(0, 2**63 - 1), _whole(1, 1024)
+parse_port = _whole(1, 65535)
 
 
 def parse_ports(text: str) -> dict[str, int]:

@@ -57,7 +57,7 @@ OWN_EXITS = {  # of commands that differ from these
     "tui": "0 however a run ended; 5 if the screen failed",
     "watch": "0 once the run has ended or its process has died, whatever the outcome: see `exit` "
     "of the `end` event of `--json`; 2 before the first record; 4 after ctrl-C, which does not "
-    "affect the run",
+    "affect the run, and is the only end of `--web`",
 }
 SAFETY = "hilcell is not a safety function: keep the E-stop within reach."
 FIRST = """\

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import NoReturn
 
 from hilcell.commands.console import print_answer, print_message
 from hilcell.commands.run_output import (
@@ -16,7 +18,7 @@ from hilcell.commands.run_output import (
     left_moving,
 )
 from hilcell.commands.signatures import Pause, Stop, Watch
-from hilcell.errors import EXIT_ABORTED, EXIT_REFUSED
+from hilcell.errors import EXIT_ABORTED, EXIT_REFUSED, HilcellError
 from hilcell.journal.index import find_run
 from hilcell.journal.journal import Record, read_journal
 from hilcell.journal.log import Log
@@ -43,12 +45,30 @@ def _command(args: Pause, command: Command) -> int:
 
 def watch(args: Watch) -> int:
     """Print a run's records to its end, or until its process has died."""
+    if (args.bind or args.port) and not args.web:
+        raise HilcellError("watch: --bind and --port require --web")
     folder = find_run(args.runs, args.run)
     try:
+        if args.web:
+            _serve(folder, args)
         return _watch(folder, as_json=args.json)
     except KeyboardInterrupt:
         print_message(f"run {folder.name}: watching ended; the run is not affected")
         return EXIT_ABORTED
+
+
+def _serve(folder: Path, args: Watch) -> NoReturn:
+    """Show a run to browsers, also after its end."""
+    from hilcell.web.server import LOOPBACK, PageServer
+    from hilcell.web.snapshot import FollowedRun
+
+    run, name = FollowedRun(folder), encodable(folder.name)
+    with PageServer(args.bind or LOOPBACK, args.port or 0) as server:
+        text = f"run {name}: {server.url} shows it until ctrl-C"
+        print_answer({"run": name, "url": server.url}, text, as_json=args.json)
+        while True:
+            server.publish(run.snapshot(datetime.now(UTC)))
+            time.sleep(1.0)
 
 
 def _watch(folder: Path, *, as_json: bool) -> int:

@@ -28,6 +28,7 @@ from hilcell.arguments import (
     parse_folder,
     parse_name,
     parse_note,
+    parse_port,
     parse_ports,
     parse_reason,
     parse_scheduler,
@@ -65,6 +66,14 @@ class Watch(OfRun):
     """Follow a run from another terminal."""
 
     json: bool = JSON_LINES
+    web: bool = option(
+        "serve a page that shows the run in a browser, until ctrl-C; `--json` prints its address",
+        default=False,
+    )
+    bind: str = option("address of `--web` (default: 127.0.0.1, this PC only)", "IP", default="")
+    port: int | None = option(
+        "port of `--web` (default: a free one)", "PORT", parse_port, default=None
+    )
 
 
 class Tui(Signature):
