@@ -2,8 +2,8 @@
 
 Inside the driver positions are counts that rise with the slide's travel, speeds counts/s and
 accelerations counts/s^2; a count is the drive's own unit of position (6064h). A drive has its units
-of speed (6081h, 6099h, 606Ch, 606Fh) and acceleration (6083h to 6085h, 609Ah), of which some state
-that of speed in 60A9h, coded as CiA 303-2: power of ten, numerator, denominator.
+of speed (6081h, 6099h, 606Ch, 606Fh) and acceleration (6083h to 6085h, 609Ah), which some state in
+60A9h and 60AAh, coded as CiA 303-2: power of ten, numerator, denominator.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 PER_MINUTE = 60.0
-METRE, DEGREE, REVOLUTION, INCREMENT = 0x01, 0x41, 0xB4, 0xB5  # numerators
-SECOND, MINUTE = 0x03, 0x47  # denominators
+METRE, DEGREE, REVOLUTION, INCREMENT, RPM = 0x01, 0x41, 0xB4, 0xB5, 0xC0  # numerators
+SECOND, MINUTE, SQUARE_SECOND = 0x03, 0x47, 0x57  # denominators
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,18 +44,22 @@ class Unit:
         return cls(text, float(match[1] or 1), match[2].partition("/")[0])
 
     @classmethod
-    def stated(cls, code: int) -> Unit | None:
-        """Return the unit of speed that 60A9h states; None for another one."""
+    def stated(cls, code: int, *, of_acceleration: bool = False) -> Unit | None:
+        """Return the unit that 60A9h or 60AAh states; None for another one."""
         power = (code >> 24 ^ 0x80) - 0x80
         base = {
             (INCREMENT, SECOND): "counts/s",
             (REVOLUTION, MINUTE): "rpm",
             (REVOLUTION, SECOND): "rps",
             (METRE, SECOND): "mm/s",
+            (INCREMENT, SQUARE_SECOND): "counts/s^2",
+            (RPM, SECOND): "rpm/s",
+            (REVOLUTION, SQUARE_SECOND): "rps/s",
+            (METRE, SQUARE_SECOND): "mm/s^2",
         }.get((code >> 16 & 0xFF, code >> 8 & 0xFF))
-        if base is None:
+        if base is None or (base in cls.OF_ACCELERATION) != of_acceleration:
             return None
-        power += 3 if base == "mm/s" else 0
+        power += 3 if base.startswith("mm") else 0
         return cls.of(f"{10.0**power:.9f}".rstrip("0").rstrip(".") + f" {base}")
 
     @property
@@ -116,10 +120,11 @@ class DriveUnits:
 
 @dataclass(frozen=True, slots=True)
 class Stated:
-    """Units that a drive reports: 60A8h, 60A9h, and the counts of a turn by 6090h."""
+    """Units that a drive reports: 60A8h, 60A9h, 60AAh, and the counts of a turn by 6090h."""
 
     position_code: int | None
     speed_code: int | None
+    acceleration_code: int | None  # of a drive that states its unit of speed
     counts_per_turn: float | None
 
     @classmethod
@@ -127,11 +132,17 @@ class Stated:
         """``read`` returns an object's value, None where the drive lacks it."""
         increments, turns = read(0x6090, 1), read(0x6090, 2)
         per_turn = increments / turns if increments and turns else None
-        return cls(read(0x60A8, 0), read(0x60A9, 0), per_turn)
+        speed = read(0x60A9, 0)
+        return cls(read(0x60A8, 0), speed, None if speed is None else read(0x60AA, 0), per_turn)
 
     @property
     def speed(self) -> Unit | None:
         return None if self.speed_code is None else Unit.stated(self.speed_code)
+
+    @property
+    def acceleration(self) -> Unit | None:
+        code = self.acceleration_code
+        return None if code is None else Unit.stated(code, of_acceleration=True)
 
     @property
     def turn_counts(self) -> float | None:
@@ -151,17 +162,25 @@ class Stated:
         return float(10.0 ** (-3 - ((code >> 24 ^ 0x80) - 0x80)))
 
     def contradictions(
-        self, speed: Unit | None, counts_per_mm: float, counts_per_turn: float
+        self,
+        speed: Unit | None,
+        acceleration: Unit | None,
+        counts_per_mm: float,
+        counts_per_turn: float,
     ) -> Iterator[tuple[str, str, str]]:
         """Return object, value and expected value of each that contradicts an option.
 
-        ``speed`` None and ``counts_per_turn`` 0 are not given.
+        Units that are None and ``counts_per_turn`` 0 are not given.
         """
         small = 1e-3
-        if speed is not None and self.speed is not None and not speed.same_as(self.speed):
-            yield "60A9h", self.speed.text, f'speed_unit = "{speed.text}"'
-        if speed is None and self.speed is None and self.speed_code is not None:
-            yield "60A9h", f"0x{self.speed_code:08X}", "speed_unit, as the drive's manual names it"
+        for where, key, given, code, unit in (
+            ("60A9h", "speed_unit", speed, self.speed_code, self.speed),
+            ("60AAh", "acceleration_unit", acceleration, self.acceleration_code, self.acceleration),
+        ):
+            if given is not None and unit is not None and not given.same_as(unit):
+                yield where, unit.text, f'{key} = "{given.text}"'
+            if given is None and unit is None and code is not None:
+                yield where, f"0x{code:08X}", f"{key}, as the drive's manual names it"
         turn, mm = self.turn_counts, self.counts_per_mm
         if turn and counts_per_turn and not abs(turn / counts_per_turn - 1) <= small:
             yield "6090h", f"{turn:g} counts a turn", f"counts_per_turn = {counts_per_turn:g}"

@@ -76,8 +76,8 @@ class CanopenRail:
         """The bus, the two nodes, their scales and units, and how the drive gets its reference.
 
         ``counts_per_mm`` is negative where a drive counts down while the slide moves up.
-        ``speed_unit`` "": that of 60A9h, else of the make, else counts/s. ``acceleration_unit`` ""
-        belongs to it; ``counts_per_turn`` 0 is what the drive states.
+        ``speed_unit`` "": that of 60A9h, else of the make, else counts/s. ``acceleration_unit`` "":
+        that of 60AAh, else that of speed per second; ``counts_per_turn`` 0 is what the drive states.
         """
 
         channel: str
@@ -411,8 +411,9 @@ class CanopenRail:
         o, sdo = self._options, self._nodes[0].sdo
         stated = Stated.read(sdo.read_if_present)
         given = Unit.of(o.speed_unit) if o.speed_unit else None
+        given_ramp = Unit.of(o.acceleration_unit) if o.acceleration_unit else None
         for where, value, expected in stated.contradictions(
-            given, o.counts_per_mm, o.counts_per_turn
+            given, given_ramp, o.counts_per_mm, o.counts_per_turn
         ):
             raise RAIL.refused(
                 "HC-R54",
@@ -424,11 +425,11 @@ class CanopenRail:
                 stated=value,
             )
         make = vendor_profile(sdo.read(Object.IDENTITY, 1))
-        speed, ramp_text = given or stated.speed, o.acceleration_unit
+        speed, ramp = given or stated.speed, given_ramp or stated.acceleration
         if speed is None and make is not None:
-            speed, ramp_text = Unit.of(make.speed_unit), ramp_text or make.acceleration_unit
+            speed, ramp = Unit.of(make.speed_unit), ramp or Unit.of(make.acceleration_unit)
         speed = speed or Unit.of("counts/s")
-        ramp = Unit.of(ramp_text or speed.per_second())
+        ramp = ramp or Unit.of(speed.per_second())
         per_turn = o.counts_per_turn or stated.turn_counts or 0.0
         if not per_turn and (speed.of_turns or ramp.of_turns):
             raise RAIL.refused(

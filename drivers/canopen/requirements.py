@@ -80,6 +80,7 @@ DRIVE = (
     _may(0x6090, 1, "counts of a turn", "counts_per_turn"),
     _may(0x60A8, 0, "unit of position", "counts_per_mm"),
     _may(0x60A9, 0, "unit of speed", "speed_unit"),
+    _may(0x60AA, 0, "unit of acceleration", "acceleration_unit"),
     _may(0x6502, 0, "supported modes", "the answer to 6060h"),
 )
 STRIP = (

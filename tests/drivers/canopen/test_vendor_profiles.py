@@ -17,6 +17,14 @@ from tests.drivers.peers import refusal
         (0xAB, {0x60A9: 0x00B50300}, {}, 250_000, 200_000),
         (0x484, {0x60A9: 0x00B44700}, {"counts_per_turn": 6000.0}, 2500, 2000),
         (0x484, {0x60A9: 0xFDB44700}, {"counts_per_turn": 6000.0}, 2_500_000, 2_000_000),
+        (
+            0x484,
+            {0x60A9: 0xFDB44700, 0x60AA: 0x00C00300},
+            {"counts_per_turn": 6e3},
+            2_500_000,
+            2000,
+        ),
+        (0x484, {0x60A9: 0xFDB40300, 0x60AA: 0xFDB45700}, {"counts_per_turn": 1e4}, 25000, 20000),
         (0x484, {}, {"speed_unit": "mm/s"}, 250, 200),
     ],
 )
@@ -42,6 +50,8 @@ def test_units_are_the_options_else_the_drives_else_the_makes(
         ({0x60A9: 0x00B44700}, {"speed_unit": "counts/s"}),
         ({0x60A9: 0x00B44700}, {}),  # rpm, and nobody knows the counts of a turn
         ({0x60A9: 0x00000100}, {}),  # no unit of speed
+        ({0x60A9: 0x00B50300, 0x60AA: 0x00B55700}, {"acceleration_unit": "10 counts/s^2"}),
+        ({0x60A9: 0x00B50300, 0x60AA: 0x00000100}, {}),  # no unit of acceleration
         ({0x60A8: 0xFA010000}, {"counts_per_mm": 900.0}),  # micrometres
     ],
 )
