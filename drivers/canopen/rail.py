@@ -77,7 +77,7 @@ class CanopenRail:
 
         ``counts_per_mm`` is negative where a drive counts down while the slide moves up.
         ``speed_unit`` "": that of 60A9h, else of the make, else counts/s. ``acceleration_unit`` "":
-        that of 60AAh, else that of speed per second; ``counts_per_turn`` 0 is what the drive states.
+        that of 60AAh, else that of speed per second. ``counts_per_turn`` 0: as the drive states.
         """
 
         channel: str
