@@ -30,6 +30,7 @@ from msgspec import Meta, Struct
 from fakes.faults import load_faults
 from fakes.site import SimulatedDevice, Site, device_servers
 from fakes.time import CellTime
+from fakes.traps import rail_device
 from fakes.truth.cell_truth import FLANGE, CellTruth, ReplayTruth
 from fakes.truth.rail_truth import RailTruth
 from fakes.wires import HOST, Listener
@@ -100,7 +101,7 @@ class Host:
             if data
             else CellTruth(cell, order.seed, self._time, self._faults)
         )
-        site = Site(cell, self._cell_truth, self._faults, self._time)
+        site = Site(cell, self._cell_truth, self._faults, self._time, rail_device(cell))
         self._devices: dict[str, SimulatedDevice] = {}
         with ExitStack() as made:  # what was made before one that is broken is closed again
             for table, serve in device_servers(cell).items():
@@ -184,9 +185,9 @@ class Host:
 
     def _truth(self, order: Values) -> Values:
         self._check_truthful()
-        return (
-            truth_answer(self._cell_truth, order) if isinstance(self._cell_truth, CellTruth) else {}
-        )
+        if not isinstance(self._cell_truth, CellTruth):
+            return {}
+        return truth_answer(self._cell_truth, order) | {"cell": self._order.cell}
 
     def _travel(self, order: Values) -> Values:
         self._check_truthful()

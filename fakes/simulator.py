@@ -23,8 +23,10 @@ import msgspec
 
 from fakes.exercises import FaultExercise, cell_exercises
 from fakes.faults import load_faults
+from fakes.hall import draw_cell, sheet_of
 from fakes.site import device_servers
 from fakes.time import CountedTime
+from fakes.traps import TRAPS, with_trap
 from fakes.truth.machine import cell_machine
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
@@ -35,6 +37,8 @@ from hilcell.sanitize import harmless
 class PaperCell:
     """The paper's cell, or any other, on simulated hardware."""
 
+    traps: Mapping[str, str] = MappingProxyType({name: trap.text for name, trap in TRAPS.items()})
+
     def __init__(
         self,
         cell: Cell,
@@ -43,16 +47,22 @@ class PaperCell:
         speed: float = math.inf,
         faults: str = "",
         truth: bool = False,
+        trap: str = "",
         ports: Mapping[str, int] = MappingProxyType({}),
     ) -> None:
-        """``ports``: of ``rail``, ``robot``, ``tracker`` and ``control``; others are free ones."""
+        """``ports``: of ``rail``, ``robot``, ``tracker`` and ``control``; others are free ones.
+
+        ``trap``: set in the truth, of which the cell file knows nothing.
+        """
         self.check(cell)
+        attach = cell.simulation.address if cell.simulation is not None else ""
+        if trap and not attach:
+            cell = with_trap(cell, trap)
         self.exercises: Sequence[Exercise] = cell_exercises(cell)
         load_faults(faults)  # reports a wrong file here, completely
         self._process: subprocess.Popen[bytes] | None = None
         if "rail" in ports and not cell.has_rail:
             raise SettingsError("--ports", [f"rail: cell {cell.name} has no rail"])
-        attach = cell.simulation.address if cell.simulation is not None else ""
         if attach and ports:
             raise SettingsError(
                 "--ports", [f"simulation.address: the simulated cell at {attach} has its ports"]
@@ -117,6 +127,32 @@ class PaperCell:
         with self._words as words:
             for line in _said(words).splitlines():
                 print(harmless(line), file=sys.stderr)
+
+
+class UnknownCell(PaperCell):
+    """A hall that is drawn from the seed about the cell file; only its sheet is known."""
+
+    PORTS: Mapping[str, int] = MappingProxyType(
+        {"rail": 29540, "robot": 7000, "tracker": 29541, "control": 29542}
+    )
+
+    def __init__(
+        self,
+        cell: Cell,
+        *,
+        seed: int | None,
+        ports: Mapping[str, int] = MappingProxyType({}),
+        **more: Any,
+    ) -> None:
+        """``ports`` that are not given are `PORTS`; 0 for a free one."""
+        self.sheet: Mapping[str, str] = {}
+        if cell.simulation is not None and cell.simulation.address:
+            super().__init__(cell, seed=seed, ports=ports, **more)
+            return
+        seed = 1 if seed is None else seed
+        drawn = draw_cell(cell, seed)
+        super().__init__(drawn, seed=seed, ports={**self.PORTS, **ports}, **more)
+        self.sheet = sheet_of(drawn, seed, self.options, self.address).files()
 
 
 class ReplayCell(PaperCell):

@@ -198,13 +198,13 @@ def parse_ports(text: str) -> dict[str, int]:
     devices, ports = ("rail", "robot", "tracker", "control"), dict[str, int]()
     for word in text.split(","):
         name, _, port = word.partition("=")
-        number = int(port) if port.isascii() and port.isdecimal() and len(port) < 6 else 0
+        number = int(port) if port.isascii() and port.isdecimal() and len(port) < 6 else -1
         if number and number in ports.values():
             raise argparse.ArgumentTypeError(f"port {number} is given twice")
-        if name not in devices or name in ports or not 1 <= number <= 65535:
+        if name not in devices or name in ports or not 0 <= number <= 65535:
             raise argparse.ArgumentTypeError(
                 f"expected rail=PORT,robot=PORT,... of {', '.join(devices)}, each once, with "
-                f"ports of 1 .. 65535, got {word[:80]!r}"
+                f"ports of 0 .. 65535, got {word[:80]!r}"
             )
         ports[name] = number
     return ports

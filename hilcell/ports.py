@@ -600,6 +600,24 @@ class Exercise:
 
 
 @runtime_checkable
+class HasSheet(Protocol):
+    """A simulated cell of which only a sheet is known, as of a hall that nobody has measured."""
+
+    @property
+    def sheet(self) -> Mapping[str, str]:
+        """Return the sheet as files by name; the first is text for a person."""
+
+
+@runtime_checkable
+class SetsTraps(Protocol):
+    """Of the class of a simulated cell that takes ``trap``, a name or ""."""
+
+    @property
+    def traps(self) -> Mapping[str, str]:
+        """Return what each trap makes wrong in the truth, one line, by name."""
+
+
+@runtime_checkable
 class Training(Protocol):
     """A simulated cell in which faults strike when they are asked for."""
 

@@ -160,7 +160,10 @@ class Controller(Frozen, frozen=True, kw_only=True):
 
 
 class Machine(Frozen, frozen=True, kw_only=True):
-    """One kind of machine; axis 3 also turns by ``coupling`` times joint 2."""
+    """One kind of machine; axis 3 also turns by ``coupling`` times joint 2.
+
+    ``rail_device`` are the fields of a `fakes.canopen.rail_device.RailDevice` that differ.
+    """
 
     model: str
     serial: int
@@ -174,6 +177,7 @@ class Machine(Frozen, frozen=True, kw_only=True):
     mounting: Mounting = field(default_factory=Mounting)
     tracker: TrackerSizes = field(default_factory=TrackerSizes)
     controller: Controller = field(default_factory=Controller)
+    rail_device: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if len(self.joint) != 6:

@@ -6,10 +6,14 @@ import random
 import signal
 import sys
 import threading
+from collections.abc import Mapping
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from shlex import quote
+from typing import Any
 
 from hilcell.alarms.catalogue import entry_of
+from hilcell.atomic_files import write_together
 from hilcell.cell.devices import (
     abilities,
     check_options,
@@ -25,7 +29,7 @@ from hilcell.cell.undetectable_errors import undetectable_errors
 from hilcell.commands.console import flush_data, print_answer, print_data, print_json, print_message
 from hilcell.commands.signatures import Check, Diagram, Sim
 from hilcell.decoding import Json
-from hilcell.ports import Exercise, HilcellError, Training
+from hilcell.ports import Exercise, HasSheet, HilcellError, SetsTraps, Training
 from hilcell.run.procedure import Procedure
 from hilcell.run.run_plan import machine_seed
 from hilcell.run.states import CALIBRATION, RUN, mermaid
@@ -155,16 +159,28 @@ def _load_checked(where: str, overrides: dict[str, str]) -> Cell:
     return cell
 
 
+def _print_traps(cell: Cell) -> None:
+    for name, text in _with_traps(cell).traps.items():
+        print_data(f"{name:20} {text}")
+
+
+def _with_traps(cell: Cell) -> SetsTraps:
+    simulator = load_entry("simulators", cell.simulation.simulator) if cell.simulation else None
+    if not isinstance(simulator, SetsTraps):
+        raise HilcellError(f"cell {cell.name} has no simulator that sets traps")
+    return simulator
+
+
 def sim(args: Sim) -> int:
     cell = load_cell(args.cell, dict(args.settings))
-    simulated = start_simulation(
-        cell,
-        seed=machine_seed(cell, args.seed, args.machine_seed),
-        speed=args.speed,
-        faults=args.faults,
-        truth=args.truth,
-        ports=args.ports or {},
-    )
+    if args.traps:
+        _print_traps(cell)
+        return 0
+    more: dict[str, Any] = {"faults": args.faults, "truth": args.truth, "ports": args.ports or {}}
+    if args.trap and _with_traps(cell):
+        more["trap"] = args.trap
+    seed = machine_seed(cell, args.seed, args.machine_seed)
+    simulated = start_simulation(cell, seed=seed, speed=args.speed, **more)
     if simulated is None:
         raise HilcellError(
             f"cell {cell.name} is real: it has no simulator; add --set simulation.simulator=paper",
@@ -178,14 +194,12 @@ def sim(args: Sim) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
     try:
+        sheet = simulated.sheet if isinstance(simulated, HasSheet) else {}
+        if args.sheet is not None:
+            _write_sheet(sheet, args.sheet, cell.name)
         print_json(simulated.options | {"control": simulated.address})
         flush_data()
-        print_message(
-            "the simulated cell is running; in another terminal:\n"
-            f"  hilcell run --cell {quote(args.cell)} "
-            f"--set simulation.address={simulated.address}\n"
-            "ctrl-C ends it"
-        )
+        print_message(_next_steps(args.cell, sheet, simulated.address))
         if args.train and training is not None:
             train(training, ended)
         else:
@@ -193,6 +207,24 @@ def sim(args: Sim) -> int:
     finally:
         simulated.close()
     return 0
+
+
+def _next_steps(where: str, sheet: Mapping[str, str], address: str) -> str:
+    """Return what a person does with a running cell, after the text of its sheet."""
+    text, command = "", f"run --cell {quote(where)} --set simulation.address={address}"
+    if sheet:
+        text, command = f"{next(iter(sheet.values()))}\n", "commission mycell.toml"
+    return (
+        f"{text}the simulated cell is running; in another terminal:\n  hilcell {command}\n"
+        "ctrl-C ends it"
+    )
+
+
+def _write_sheet(sheet: Mapping[str, str], folder: Path, name: str) -> None:
+    if not sheet:
+        raise HilcellError(f"cell {name} has no sheet: its cell file states its places")
+    folder.mkdir(parents=True, exist_ok=True)
+    write_together({folder / file: text.encode() for file, text in sheet.items()})
 
 
 def diagram(args: Diagram) -> int:

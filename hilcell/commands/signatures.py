@@ -294,8 +294,17 @@ class Sim(Signature):
     )
     faults: str = option("TOML file of faults to inject (docs/training.md)", "FILE", default="")
     train: bool = option("training: inject faults from a menu", default=False)
+    sheet: Path | None = option(
+        "write the hall's sheet: text, JSON and the drawing of the nests (cell unknown)",
+        "FOLDER",
+        parse_folder,
+        default=None,
+    )
+    trap: str = option("set a trap in the truth, of which no cell file knows", "NAME", default="")
+    traps: bool = option("only list the traps", default=False)
     ports: dict[str, int] | None = option(
-        "TCP ports of rail, robot, tracker and control (default: free ports)",
+        "TCP ports of rail, robot, tracker and control, 0 for a free one (default: free ports; of "
+        "cell unknown, fixed ones)",
         "NAME=PORT,...",
         parse_ports,
         default=None,

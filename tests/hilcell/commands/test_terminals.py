@@ -131,7 +131,7 @@ WRONG = [
     ["run", "--set=rail.speed_mm_s=nan"], ["run", "--set=nosuch.key=1"], ["run", "--set=a=1\nb=2"],
     ["run", "--cell=nope"], ["run", "--cell=/dev/null"], ["run", "--cell=/"],
     ["run", "--cell=\N{GRINNING FACE}.toml"], ["run", "--name=../x"], ["run", "--name=last"],
-    ["run", "%s{}"], ["run", "x" * 300], ["sim", "--ports=rail=0"], ["sim", "--ports=x"],
+    ["run", "%s{}"], ["run", "x" * 300], ["sim", "--ports=rail=65536"], ["sim", "--ports=x"],
     ["check"], ["check", "\n"], ["check", "é"], ["compare", "nosuch"], ["compare", "last", "é"],
     ["show", "nosuch"], ["show", "x" * 300], ["resume", "\udcff"], ["pause", "nosuch"],
     ["stop", "\x1b[31m"], ["revoke", "nosuch", "--reason=x"], ["explain", "%s{}"],
