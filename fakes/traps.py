@@ -16,6 +16,7 @@ from fakes.canopen.rail_device import RailDevice
 from fakes.truth.machine import cell_machine
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, did_you_mean
+from hilcell.decoding import typed
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +36,7 @@ def rail_device(cell: Cell) -> RailDevice:
             "simulation.sizes.rail_device",
             [f"unknown setting {name!r}{did_you_mean(name, known)}" for name in unknown],
         )
-    return msgspec.convert(values, RailDevice)
+    return typed(values, RailDevice)
 
 
 def with_sizes(cell: Cell, **sizes: Any) -> Cell:
