@@ -12,7 +12,6 @@ here without noise. This ideal {B} is not the frame in which the axes are drawn;
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -99,7 +98,8 @@ class Design:
         low, high = levers_mm.min(axis=0), levers_mm.max(axis=0)
         least_mm = 1.0  # a lever that changes by less counts as constant
         self._middle_mm, self._half_mm = (low + high) / 2, np.maximum((high - low) / 2, least_mm)
-        jacobians_mm = self.chain.jacobian(self.commands_rad)[:, :3]
+        of_axes = Chain(self.chain.axes, self.chain.points_mm, self.chain.last)
+        jacobians_mm = of_axes.jacobian(self.chain.turns(self.commands_rad))[:, :3]
         self.unit_rp_mm = float(unit_rp_mm(jacobians_mm).mean())
         self.axis_6_rad: Array = self.chain.commands(np.radians(machine.reference.axis_6_deg))
         self.axis_6_mm = axis_6(self.chain, self.axis_6_rad)[1]
@@ -233,7 +233,7 @@ class ArmTruth:
         return self.reflector_pose(true_rad, self.strain(warm_k))
 
     def true_joints(self, joints_rad: Array, side: Array, landing_rad: Array) -> Array:
-        """Return the true joint angles (..., 6), which do not depend on temperature."""
+        """Return the true turns about the axes (..., 6), which do not depend on temperature."""
         lost = side * self.half_gap_rad + landing_rad
         return self._by_angles(joints_rad) + lost
 
@@ -304,17 +304,18 @@ class ArmTruth:
             points_mm[joint] = transform_point(moved, at_mm)
         tool_mm = np.array(self._smr_mm) + errors.tool_mm
         last = mounted(frame(self._machine.flange), (tool_mm[0], tool_mm[1], tool_mm[2]))
-        self._chain = replace(design, axes=axes, points_mm=points_mm, last=moved @ last)
+        self._chain = Chain(axes, points_mm, moved @ last)  # of the turns about the axes
         self.ideal_base = self._base_from_axes(self._design.axis_6_rad)
 
     def _by_angles(self, joints_rad: Array) -> Array:
-        """Return joint angles (..., 6) with all errors that depend on the angles alone."""
-        ripple = self.ripple(joints_rad)
+        """Return turns about the axes (..., 6) with all errors that depend on them alone."""
+        turned_rad = self.design.turns(joints_rad)
+        ripple = self.ripple(turned_rad)
         share = self._machine.transmission.load_share
         if share:
             ripple *= 1.0 + share * self._design.loads(joints_rad)
-        bent = self._errors.deflection(joints_rad, *self._design.slopes(joints_rad))
-        return joints_rad + self._errors.zero_rad + self.lost_rad + bent + ripple
+        bent = self._errors.deflection(turned_rad, *self._design.slopes(joints_rad))
+        return turned_rad + self._errors.zero_rad + self.lost_rad + bent + ripple
 
     def _base_from_axes(self, axis_6_rad: Array) -> Array:
         """Return the ideal {B} in {R}, (4, 4), as a base frame is measured.
