@@ -51,6 +51,18 @@ def test_a_slide_that_is_stopped_on_its_way(truth: CellTruth) -> None:
     assert travel.moving_s == pytest.approx(1.25 + 0.25)
 
 
+def test_a_slide_that_turned_round_within_one_motion(truth: CellTruth) -> None:
+    rail = truth.rail
+    assert isinstance(rail, RailTruth)
+    rail.brake(closed=False)
+    rail.travel()
+    rail.move(500.0, 100.0, 200.0)
+    truth.time.advance(1.25)  # at 100 mm and 100 mm/s
+    rail.move(0.0, 100.0, 200.0)
+    truth.time.advance(60.0)
+    assert rail.travel().excursion == pytest.approx([100.0 + 25.0])
+
+
 def test_the_axes_that_moved_and_for_how_long(cell: Cell, truth: CellTruth) -> None:
     robot = truth.robot
     home_rad = np.radians(cell.robot.home_deg)

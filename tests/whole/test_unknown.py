@@ -3,14 +3,31 @@
 from __future__ import annotations
 
 import json
+from copy import deepcopy
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.whole.bench import command
-from tests.whole.halls import unknown_hall, write_cell
+from tests.whole.halls import differences, unknown_hall, write_cell
 
 pytestmark = pytest.mark.process
+WRONG: list[tuple[tuple[str | int, ...], object]] = [
+    (("rail", "options", "drive_node"), 125),
+    (("rail", "options", "counts_per_mm"), 1000.0),  # -1000
+    (("rail", "options", "strip_counts_per_mm"), 90.0),
+    (("rail", "options", "strip_zero_mm"), 0.0),
+    (("rail", "options", "speed_unit"), "0.1 counts/s"),
+    (("robot", "smr_mm"), [98.0, 0.0, 127.0]),
+    (("robot", "joint", 2, "coupled_to"), None),
+    (("robot", "joint", 5, "max_deg"), 350.0),
+    (("tracker", "pose", "a_deg"), 178.0),
+    (("tracker", "reflector"), "SMR 0.5in"),
+    (("layout", "base", "x_mm"), -1850.0),
+    (("layout", "slide", 3, "z_mm"), 40.0),
+    (("layout", "floor", 1, "x_mm"), 1450.0),
+]
 
 
 def test_a_hall_is_the_cell_that_its_right_file_describes(tmp_path: Path) -> None:
@@ -20,6 +37,15 @@ def test_a_hall_is_the_cell_that_its_right_file_describes(tmp_path: Path) -> Non
         tables["simulation"] = {"simulator": "unknown", "address": hall.simulation.control}
         tables["plan"] = {"quick": True}
         file = write_cell(tables, tmp_path / "right.toml")
+        assert differences(file, hall) == []
+        for n, (path, value) in enumerate(WRONG):
+            other = deepcopy(tables)
+            table: Any = other
+            *keys, last = path
+            for key in keys:
+                table = table[key]
+            table[last] = value
+            assert differences(write_cell(other, tmp_path / f"{n}.toml"), hall), path
         hall.travel()
         done = command("run", "world-frame", "--cell", file, "--runs", tmp_path / "runs", "--json")
         travel = hall.travel()
