@@ -147,6 +147,13 @@ def searching_tracker(tracker: ports.Tracker) -> ports.Searches:
     raise _unable("HC-T43", "Tracker", "search", "search", "at the places of the cell file")
 
 
+def jogging_rail(rail: ports.Rail) -> ports.Jogs:
+    """Return the rail if it jogs; raises `DeviceRefused`."""
+    if isinstance(rail, ports.Jogs):
+        return rail
+    raise _unable("HC-R48", "Rail", "jog", "jog", "with a proved scale")
+
+
 def sweeping_robot(robot: ports.Robot) -> ports.Sweeps:
     """Return the robot if it sweeps an axis; raises `DeviceRefused`."""
     if isinstance(robot, ports.Sweeps):

@@ -45,6 +45,7 @@ name or a file, 4 after ctrl-C, 5 after a defect of hilcell, and 7 if a journal,
 failed (also if the reader of stdout ended early, as in `| head`)."""
 OWN_EXITS = {  # of commands that differ from these
     "check": "2 if the cell file or its plan has a problem",
+    "commission": "1 if a step has not proved what it should",
     "compare": "0 whatever changed: see `verdict` of `--json`",
     "doctor": "2 if something is WRONG; 0 with notes",
     "plant": "see [Records of a plant](plant.md)",
@@ -90,6 +91,7 @@ GROUPS: Mapping[str, Commands] = {
         "revoke": (signatures.Revoke, "runs:revoke"),
     },
     "setup": {
+        "commission": (signatures.Commission, "commission:commission"),
         "check": (signatures.Check, "cell:check"),
         "doctor": (signatures.Doctor, "doctor:doctor"),
         "files": (signatures.Files, "files:files"),

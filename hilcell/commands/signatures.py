@@ -251,6 +251,17 @@ class Check(Signature):
     json: bool = JSON
 
 
+class Commission(Signature):
+    """Commission a cell: find its devices, prove signs, scales and places, write its cell file."""
+
+    cell: Path = option("cell file, new or begun", "CELL.toml", Path, positional=True)
+    first: str = option("repeat this step and go on from it", "STEP", default="", flags=("--from",))
+    only: str = option("perform this step alone", "STEP", default="")
+    runs: Path = RUNS
+    operator: str = NOTED
+    list: bool = option("list the steps and what is proved", default=False)
+
+
 class Doctor(Signature):
     """Check this PC; nothing moves."""
 

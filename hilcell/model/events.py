@@ -574,6 +574,57 @@ class CalibrationRevoked(Reasoned, frozen=True, kw_only=True, tag="calibration r
     operator: str = ""
 
 
+class SlideJogged(OfPoint, frozen=True, kw_only=True, tag="slide jogged"):
+    """A jog of the slide, one entry a poll: times, positions of drive and strip, the drive's own
+    speed; see `hilcell.ports.RailTrace`.
+    """
+
+    says: ClassVar[str] = (
+        "slide jogged {0.distance_mm:+g} mm: drive {0.driven_mm:+.3f} mm, "
+        "strip {0.moved_mm:+.3f} mm"
+    )
+    distance_mm: float
+    bound_mm: float
+    speed_mm_s: float
+    stopped_by: str
+    taken_s: list[float]
+    drive_mm: list[float]
+    strip_mm: list[float]
+    velocity_mm_s: list[float]
+
+    @property
+    def driven_mm(self) -> float:
+        return self.drive_mm[-1] - self.drive_mm[0]
+
+    @property
+    def moved_mm(self) -> float:
+        return self.strip_mm[-1] - self.strip_mm[0]
+
+
+class PlaceSeen(OfPoint, frozen=True, kw_only=True, tag="place seen"):
+    """A reflector whose place was not known: (3,) in the tracker's frame, with the robot's joints
+    and the strip's reading.
+    """
+
+    says: ClassVar[str] = "{0.key} seen by the tracker"
+    xyz_mm: Three
+    std_mm: Three
+    samples: int
+    joints_deg: list[float]
+    strip_mm: float
+
+
+class ControllerRead(Event, frozen=True, kw_only=True, omit_defaults=True, tag="controller read"):
+    """The controller's own settings; see `hilcell.ports.RobotSettings`."""
+
+    title: ClassVar[str] = "settings of the controller read"
+    joints_deg: list[float]
+    model: str = ""
+    serial: str = ""
+    joint_limits_deg: list[Pair] = field(default_factory=list)
+    tool_mm: Three | None = None
+
+
 class PromiseJudged(Event, frozen=True, kw_only=True, tag="promise"):
     """Whether a driver has kept a promise of its port."""
 

@@ -110,6 +110,8 @@ class Intended(msgspec.Struct, frozen=True, kw_only=True):
     joints_deg: tuple[float, ...] = ()
     strip_mm: float | None = None
     from_deg: tuple[float, ...] = ()
+    distance_mm: float | None = None
+    bound_mm: float | None = None
     speed_percent: float | None = None
 
 

@@ -651,6 +651,20 @@ class DriverConforms(Verdict, frozen=True, kw_only=True):
         return f"driver {self.driver}{broken}"
 
 
+class Proved(Verdict, frozen=True, kw_only=True, omit_defaults=True):
+    """A fact of the cell that commissioning verifies; ``values`` of the cell file, by path, follow
+    from it.
+    """
+
+    keys: ClassVar[tuple[str, ...]] = ("commissioning.",)
+    found: str
+    expected: str
+    values: Json = field(default_factory=dict)
+
+    def _text(self) -> str:
+        return f"{self.found}; expected {self.expected}"
+
+
 # -- by key ----------------------------------------------------------------------------------------
 
 

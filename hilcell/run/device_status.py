@@ -18,6 +18,7 @@ from hilcell import ports
 from hilcell.cell.devices import (
     Devices,
     aiming_tracker,
+    jogging_rail,
     searching_tracker,
     streaming_tracker,
     sweeping_robot,
@@ -256,7 +257,7 @@ class _Watched(Generic[D]):
 
 
 class _WatchedRail(_Watched[ports.Rail]):
-    """Satisfies `hilcell.ports.Rail`."""
+    """Satisfies `hilcell.ports.Rail`, and `hilcell.ports.Jogs` where its rail does."""
 
     @contextmanager
     def _call(self, *, moving: bool = False) -> Iterator[None]:
@@ -277,6 +278,26 @@ class _WatchedRail(_Watched[ports.Rail]):
         with self._call(moving=True):
             self._device.move_to(position_mm)
 
+    def jog(
+        self,
+        distance_mm: float,
+        *,
+        bound_mm: float,
+        speed_mm_s: float,
+        stop_after_mm: float | None = None,
+    ) -> ports.RailTrace:
+        jogs = jogging_rail(self._device)
+        with self._call(moving=True):
+            return jogs.jog(
+                distance_mm,
+                bound_mm=bound_mm,
+                speed_mm_s=speed_mm_s,
+                stop_after_mm=stop_after_mm,
+            )
+
+    def rescaled(self, drive: float, strip: float, speed: float) -> dict[str, object]:
+        return jogging_rail(self._device).rescaled(drive, strip, speed)
+
     def settle(self) -> ports.RailReading:
         with self._call(moving=True):
             return self._monitor.take_rail(self._device.settle())
@@ -294,7 +315,14 @@ class _WatchedRail(_Watched[ports.Rail]):
 
 
 class _WatchedRobot(_Watched[ports.Robot]):
-    """Satisfies `hilcell.ports.Robot`, and `hilcell.ports.Sweeps` where its robot does."""
+    """Satisfies `hilcell.ports.Robot` and `StatesSettings`, and `Sweeps` where its robot does."""
+
+    def settings(self) -> ports.RobotSettings:
+        """Return the controller's settings, none of them where its driver does not read them."""
+        if not isinstance(self._device, ports.StatesSettings):
+            return ports.RobotSettings(None, None, None, None, None)
+        with self._call():
+            return self._device.settings()
 
     def move_to(self, joints_rad: Array, speed_percent: float) -> ports.RobotReading:
         with self._call(moving=True):

@@ -14,11 +14,18 @@ from hilcell.cell.devices import abilities, aiming_tracker, searching_tracker, t
 from hilcell.cell.file import Nest
 from hilcell.geometry.frames import inverse
 from hilcell.journal.log import world_key
-from hilcell.model.events import NoReadingOf, PlaceTaken, ReadingTime, ReflectorPlaced, Three
+from hilcell.model.events import (
+    NoReadingOf,
+    PlaceSeen,
+    PlaceTaken,
+    ReadingTime,
+    ReflectorPlaced,
+    Three,
+)
 from hilcell.model.point import Point, PointId, Readings
 from hilcell.ports import Array, DeviceError, NoReading, RobotReading, TrackerReading
 from hilcell.run.control import HERE, RELEASE, WIDER, Choice
-from hilcell.run.interlocks import check_held, check_strip, reading_time
+from hilcell.run.interlocks import check_held, check_still, check_strip, reading_time
 from hilcell.run.mover import Mover
 from hilcell.run.prompts import FLANGE, WIDER_MM, Prompt, Verification, where_looked
 
@@ -29,6 +36,7 @@ class Meter(Mover):
     """
 
     TRIES = 3  # of a measurement before the operator is prompted
+    AIM_S = 1.0  # between two looks at a beam that a person aims
 
     last: Point | None = None
 
@@ -244,6 +252,74 @@ class Meter(Mover):
             near_mm = self._nest_near(nest)
             if reading := self.measure(id.key, nest.name, near_mm, samples, back=back):
                 return self.record_point(id, "", reading)
+
+    # -- places that are not known yet --------------------------------------------------------
+
+    def aimed_place(
+        self, key: str, place: str, refusal: Callable[[Array], str], samples: int, *, tries: int
+    ) -> PlaceSeen | None:
+        """Prompt a person to put the beam on ``place``, and measure it there, once in a run.
+
+        ``refusal`` takes a position (3,), tracker's frame, and returns why it is not that place, ""
+        where it may be. After ``tries`` refused reflectors None. Slide and robot are at rest.
+        """
+        if known := self._seen(key):
+            return known
+        self.checkpoint()
+        tracker = aiming_tracker(self.devices.tracker)
+        reflector = self.cell.tracker.reflector
+        tracker.release_beam()
+        refused: list[str] = []  # the last is "" once the place is found
+
+        def verify() -> Verification:
+            self.clock.wait(self.AIM_S)
+            try:
+                reading = tracker.measure_aimed(reflector, 1)
+            except DeviceError as error:
+                return Verification.failed(error, self.clock.pc_s())
+            why = refusal(reading.xyz_mm)
+            refused.append(why)
+            if why and len(refused) < tries:
+                tracker.release_beam()
+                return Verification(None, why, reading.taken_s)
+            return Verification(0.0, "", reading.taken_s)
+
+        self.ask(Prompt.aim(place), verify, None)
+        if refused[-1]:
+            return None
+        return self._record_place(key, tracker.measure_aimed(reflector, samples))
+
+    def found_place(self, key: str, near_mm: Array, samples: int, *, radius_mm: float) -> PlaceSeen:
+        """Measure a reflector expected near (3,), tracker's frame, by a wide search, once in a run;
+        raises `NoReading`.
+        """
+        if known := self._seen(key):
+            return known
+        self.checkpoint()
+        tracker = searching_tracker(self.devices.tracker)
+        reading = tracker.search(near_mm, self.cell.tracker.reflector, samples, radius_mm)
+        return self._record_place(key, reading)
+
+    def _seen(self, key: str) -> PlaceSeen | None:
+        return next((each for each in self.log.happened(PlaceSeen) if each.key == key), None)
+
+    def _record_place(self, key: str, reading: TrackerReading) -> PlaceSeen:
+        """Journal a reflector's position; raises `Blocked` where slide or robot moves."""
+        rail, robot = self.devices.rail.read(), self.devices.robot.read()
+        check_held(self.cell, rail, self.held, f"measure {key}")
+        check_still(robot, f"measure {key}")
+        x, y, z = (float(value) for value in reading.xyz_mm)
+        std_mm = (float(reading.std_mm[0]), float(reading.std_mm[1]), float(reading.std_mm[2]))
+        seen = PlaceSeen(
+            key=key,
+            xyz_mm=(x, y, z),
+            std_mm=std_mm,
+            samples=reading.samples,
+            joints_deg=np.degrees(robot.joints_rad).tolist(),
+            strip_mm=rail.strip_mm,
+        )
+        self.add(seen)
+        return seen
 
     # -- reflectors carried by hand -----------------------------------------------------------
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from hilcell.calibration.controller_pose import check_pose
 from hilcell.calibration.frames import Frames
-from hilcell.cell.devices import Devices, streaming_tracker, sweeping_robot
+from hilcell.cell.devices import Devices, jogging_rail, streaming_tracker, sweeping_robot
 from hilcell.cell.file import Cell, RailTable, Station
 from hilcell.journal.journal import StorageError
 from hilcell.journal.log import Records, VisitedPoses
@@ -347,6 +347,39 @@ class Mover(RunContext):
         self.devices.rail.move_to(position_mm)
         self.devices.rail.settle()
         self._hold_rail()
+
+    def jog_rail(
+        self,
+        key: str,
+        distance_mm: float,
+        *,
+        bound_mm: float,
+        speed_mm_s: float,
+        stop_after_mm: float | None = None,
+    ) -> events.SlideJogged:
+        """Move the slide a little with its scale unproved, once in a run; see `ports.Jogs`."""
+        for known in self.log.happened(events.SlideJogged):
+            if known.key == key:
+                return known
+        rail = jogging_rail(self.devices.rail)
+        self._prepare_rail("rail.jog", {"distance_mm": distance_mm, "bound_mm": bound_mm})
+        trace = rail.jog(
+            distance_mm, bound_mm=bound_mm, speed_mm_s=speed_mm_s, stop_after_mm=stop_after_mm
+        )
+        self._hold_rail()
+        jogged = events.SlideJogged(
+            key=key,
+            distance_mm=distance_mm,
+            bound_mm=bound_mm,
+            speed_mm_s=speed_mm_s,
+            stopped_by=trace.stopped_by,
+            taken_s=(trace.taken_s - trace.taken_s[0]).tolist(),
+            drive_mm=trace.drive_mm.tolist(),
+            strip_mm=trace.strip_mm.tolist(),
+            velocity_mm_s=trace.velocity_mm_s.tolist(),
+        )
+        self.add(jogged)
+        return jogged
 
     def hold_station(self, station: Station, *, again: bool = False) -> None:
         """Bring the slide to ``station`` by the strip and hold it there.

@@ -79,6 +79,20 @@ class Prompt(msgspec.Struct, frozen=True, kw_only=True):
         )
 
     @classmethod
+    def aim(cls, place: str) -> Prompt:
+        """Return the prompt to put the beam on a place; it goes on by itself."""
+        return cls(
+            title=f"Put the beam on {place}",
+            text=f"Put the tracker's beam on {place}. The run goes on by itself once the tracker "
+            "measures the reflector there. Slide and robot are at rest.",
+            place=place,
+            expected_mm=None,
+            limit_mm=1.0,
+            reason=f"{place} is to be found",
+            by_itself=True,
+        )
+
+    @classmethod
     def failed_reading(
         cls,
         cell: Cell,
@@ -127,7 +141,7 @@ class Prompt(msgspec.Struct, frozen=True, kw_only=True):
         if result.choice:
             return result.reason
         if self.by_itself or self.expected_mm is None:
-            return f"{self.place} is not as it was: {result.reason}"
+            return f"{self.place}: {result.reason}"
         if result.seen_mm is None:
             return f"the tracker sees no reflector at {self.place}: {result.reason}"
         return (

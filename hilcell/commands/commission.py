@@ -1,0 +1,125 @@
+"""``commission``: questions, runs and the cell file, in one terminal."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from queue import SimpleQueue
+
+from hilcell.commands.console import print_message, print_table
+from hilcell.commands.run_output import ProgressOutput, print_end
+from hilcell.commands.signatures import Commission
+from hilcell.commission.cell_text import CellText
+from hilcell.commission.dialogue import Dialogue
+from hilcell.commission.record import Commissioned, record_path
+from hilcell.commission.steps import STEPS, Commissioning, Step, steps_to_perform
+from hilcell.errors import EXIT_OK, EXIT_OUT_OF_TOLERANCE, HilcellError
+from hilcell.journal.journal import Record
+from hilcell.journal.log import Log
+from hilcell.model.records import WAITING, StateChanged
+from hilcell.present.table import Column, Table
+from hilcell.run.control import order
+from hilcell.run.engine import NewEngine
+from hilcell.run.order import Order
+
+ANSWER_S = 0.2
+
+
+def commission(args: Commission) -> int:
+    if args.list:
+        return _list(args.cell)
+    lines: SimpleQueue[str | None] = SimpleQueue()
+    threading.Thread(target=_read, args=(lines,), name="keyboard", daemon=True).start()
+    dialogue = Dialogue(lines, print_message)
+    work = Commissioning(
+        args.cell, dialogue, args.operator, lambda name: _run(name, args, dialogue)
+    )
+    proved = work.perform(steps_to_perform(args.cell, args.first, args.only))
+    text, record = CellText.read(args.cell), Commissioned.read(args.cell)
+    left = [step.name for step in STEPS if record.status(step.name, text) != "proved"]
+    if left:
+        print_message(f"not proved yet: {', '.join(left)}")
+    else:
+        print_message(f"this cell is ready to calibrate: hilcell run --cell {args.cell}")
+    print_message(f"{dialogue.questions} questions; the record is {record_path(args.cell)}")
+    return EXIT_OK if proved else EXIT_OUT_OF_TOLERANCE
+
+
+def _list(path: Path) -> int:
+    text, record = CellText.read(path), Commissioned.read(path)
+    print_table(
+        Table(
+            [
+                Column[Step]("step", lambda step: step.name),
+                Column[Step]("proves", lambda step: step.title),
+                Column[Step]("status", lambda step: record.status(step.name, text)),
+            ],
+            list(STEPS),
+        )
+    )
+    return EXIT_OK
+
+
+def _read(lines: SimpleQueue[str | None]) -> None:
+    for line in sys.stdin:
+        lines.put(line)
+    lines.put(None)
+
+
+class _AnsweringOutput(ProgressOutput):
+    """Shows a run's progress; a line typed while it waits answers it."""
+
+    def __init__(self, folder: Path, points: int, dialogue: Dialogue) -> None:
+        super().__init__(folder, points)
+        self._run, self._dialogue = folder, dialogue
+        self._waits, self._ended = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._answer, name="answers", daemon=True)
+        self._thread.start()
+
+    def print_record(self, record: Record) -> None:
+        match record.fact:
+            case StateChanged(machine="run", to=to):
+                (self._waits.set if to in WAITING else self._waits.clear)()
+        super().print_record(record)
+
+    def close(self, code: int, log: Log, fault: Exception | None) -> None:
+        self._ended.set()
+        self._thread.join()
+        super().close(code, log, fault)
+
+    def _answer(self) -> None:
+        """Answer with each line that comes while the run waits."""
+        while not self._ended.is_set():
+            if not self._waits.wait(ANSWER_S):
+                continue
+            if self._dialogue.waiting_line(ANSWER_S) is None:
+                self._ended.wait(ANSWER_S)
+                continue
+            try:
+                order(self._run, "proceed")
+            except HilcellError as error:
+                print_message(str(error))
+
+
+def _run(procedure: str, args: Commission, dialogue: Dialogue) -> tuple[str, Log]:
+    """Run a procedure on the cell file to its end; return the run's name and its log."""
+    ordered = Order(
+        procedure=procedure, cell=str(args.cell), runs=args.runs, operator=args.operator
+    )
+    say: Callable[[str], object] = print_message
+    plan = ordered.check(say)
+    with NewEngine(ordered, plan, say) as engine:
+        output = _AnsweringOutput(plan.folder, plan.points, dialogue)
+        code, fault, _ = engine.run(output)
+        log: Log = engine.journal.log
+        output.close(code, log, fault)
+        print_end(plan.folder, log, plan.procedure, output, fault)
+        if fault is not None:
+            raise HilcellError(
+                f"step of {procedure} ended early (exit {code}); mend the cause, then the same "
+                "command goes on here",
+                code="HC-C40",
+            )
+        return plan.folder.name, log

@@ -1,0 +1,104 @@
+"""Questions to the person at the terminal; a run that waits takes its lines from the same queue."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from queue import Empty, SimpleQueue
+from typing import TypeVar
+
+from hilcell.errors import HilcellError
+
+T = TypeVar("T")
+TRIES = 5
+
+
+class Dialogue:
+    """Asks on ``say`` and takes answers from ``lines``, None at their end.
+
+    ``questions`` counts what was asked; ``real``: motions need the whole word "yes".
+    """
+
+    def __init__(self, lines: SimpleQueue[str | None], say: Callable[[str], object]) -> None:
+        self._lines, self.say = lines, say
+        self.questions = 0
+        self.real = True
+
+    def ask(self, question: str, parse: Callable[[str], T], default: str = "") -> T:
+        """Return a parsed answer; asks again where ``parse`` raises `ValueError`."""
+        self.questions += 1
+        for _ in range(TRIES):
+            self.say(f"{question}{f' [{default}]' if default else ''}")
+            answer = self._line() or default
+            try:
+                return parse(answer)
+            except ValueError as error:
+                self.say(f"{error}")
+        raise HilcellError(f"{question} has no valid answer after {TRIES} tries", code="HC-C40")
+
+    def choose(self, question: str, choices: Mapping[str, str], default: str = "") -> str:
+        """Return one of the choices, by its number or its name; ``choices`` have their texts."""
+        names = list(choices)
+        for number, name in enumerate(names, start=1):
+            self.say(f"  {number}  {name}: {choices[name]}")
+
+        def parse(answer: str) -> str:
+            if answer in choices:
+                return answer
+            if answer.isdecimal() and 1 <= int(answer) <= len(names):
+                return names[int(answer) - 1]
+            raise ValueError(f"expected 1 to {len(names)}, or a name, got {answer!r}")
+
+        return self.ask(question, parse, default or (names[0] if len(names) == 1 else ""))
+
+    def agree(self, question: str) -> bool:
+        """Return whether the person agrees; real devices need a whole "yes"."""
+        self.questions += 1
+        wanted = 'type "yes"' if self.real else "y or yes"
+        self.say(f"{question} ({wanted}; another answer moves nothing)")
+        return self._line().lower() in (("yes",) if self.real else ("y", "yes"))
+
+    def waiting_line(self, limit_s: float) -> str | None:
+        """Return a typed line, None if none comes in time or input has ended."""
+        try:
+            line = self._lines.get(timeout=limit_s)
+        except Empty:
+            return None
+        if line is None:
+            self._lines.put(None)
+        return line
+
+    def _line(self) -> str:
+        line = self._lines.get()
+        if line is None:
+            self._lines.put(None)
+            raise HilcellError(
+                "the input has ended; what was proved is kept, and the same command goes on there",
+                code="HC-C40",
+            )
+        return line.strip()
+
+
+def number(low: float, high: float, unit: str) -> Callable[[str], float]:
+    """Return a parser of a number within limits."""
+
+    def parse(answer: str) -> float:
+        try:
+            value = float(answer)
+        except ValueError:
+            raise ValueError(f"expected a number in {unit}, got {answer!r}") from None
+        if not low <= value <= high:
+            raise ValueError(f"expected {low:g} .. {high:g} {unit}, got {value:g}")
+        return value
+
+    return parse
+
+
+def word(what: str) -> Callable[[str], str]:
+    """Return a parser of a text that is not empty."""
+
+    def parse(answer: str) -> str:
+        if not answer:
+            raise ValueError(f"expected {what}")
+        return answer
+
+    return parse

@@ -1,0 +1,106 @@
+"""The first cell file of a cell that nobody has measured: assumed values, each marked as such.
+
+The file is complete and valid from here on, so that every step is an ordinary run; a step replaces
+the values that it has measured.
+"""
+
+from __future__ import annotations
+
+import math
+
+from hilcell.cell.file import Cell, load_cell
+from hilcell.cell.source import built_in_cells
+from hilcell.commission.cell_text import CellText
+from hilcell.decoding import Json
+
+ASSUMED = "assumed; a later step measures it"
+SLIDE_RADIUS_MM = 400.0
+
+
+def known_robots() -> dict[str, Cell]:
+    """Return the robots whose nominal kinematics come with hilcell, by name, each with its cell."""
+    cells = [load_cell(name) for name in built_in_cells()]
+    return {cell.robot.name: cell for cell in reversed(cells)}
+
+
+def write_robot(text: CellText, robot: str) -> None:
+    """Write a known robot's nominal kinematics and working volume, unless the file has its own."""
+    cell = known_robots()[robot]
+    source, table = f"nominal, of the maker's {robot}", cell.robot
+    for key, value, comment in (
+        ("robot.name", table.name, ""),
+        ("robot.rp_mm", table.rp_mm, "pose repeatability of the data sheet"),
+        ("robot.smr_mm", list(table.smr_mm), ASSUMED),
+        ("robot.home_deg", list(table.home_deg), ASSUMED),
+        ("robot.safe_deg", list(table.safe_deg), ASSUMED),
+        ("robot.status", table.status, ""),
+        ("robot.speed_percent", 10.0, "until the cell is proved"),
+        ("robot.ramp_s", table.ramp_s, ""),
+        ("robot.joint", [joint_row(cell, axis) for axis in range(6)], source),
+        ("grid.station", "S1", ""),
+        ("grid.centre", pose_row(cell), ""),
+        ("grid.size_mm", list(cell.grid.size_mm), ""),
+        ("grid.pitch_mm", cell.grid.pitch_mm, ""),
+        ("base_frame.axis_1_deg", list(cell.base_frame.axis_1_deg), ""),
+        ("base_frame.axis_1_sweep_deg", list(cell.base_frame.axis_1_sweep_deg), ""),
+        ("base_frame.axis_6_deg", list(cell.base_frame.axis_6_deg), ""),
+        ("base_frame.axis_6_sweep_deg", list(cell.base_frame.axis_6_sweep_deg), ""),
+        ("base_frame.points", cell.base_frame.points, ""),
+    ):
+        write_new(text, key, value, comment)
+
+
+def write_places(text: CellText, slide_nests: int) -> None:
+    """Write assumed places of tracker, base, slide nests and the first station."""
+    turns = [2.0 * math.pi * n / slide_nests for n in range(slide_nests)]
+    nests = [
+        {
+            "name": f"P{n + 1}",
+            "x_mm": round(SLIDE_RADIUS_MM * math.cos(turn), 1),
+            "y_mm": round(SLIDE_RADIUS_MM * math.sin(turn), 1),
+            "z_mm": 100.0,
+        }
+        for n, turn in enumerate(turns)
+    ]
+    middle_mm = _middle_of_travel(text)
+    for key, value in (
+        ("tracker.pose", {"x_mm": 4000.0, "y_mm": 0.0, "z_mm": 1500.0, "a_deg": 180.0}),
+        ("layout.base", {"x_mm": 0.0, "y_mm": 0.0, "z_mm": 300.0}),
+        ("layout.rail_direction", [0.0, 1.0, 0.0]),
+        ("layout.slide", nests),
+        ("station", [{"name": "S1", "rail_mm": middle_mm, "strip_mm": middle_mm}]),
+    ):
+        write_new(text, key, value, ASSUMED)
+
+
+def write_new(text: CellText, path: str, value: object, comment: str = "") -> None:
+    """Write a value unless the file has one: what a person wrote stays."""
+    if value is not None and text.get(path) is None:
+        text.set(path, value, comment)
+
+
+def joint_row(cell: Cell, axis: int) -> Json:
+    joint = cell.robot.joint[axis]
+    row: Json = {
+        "a_mm": joint.a_mm,
+        "alpha_deg": joint.alpha_deg,
+        "d_mm": joint.d_mm,
+        "offset_deg": joint.offset_deg,
+        "sign": joint.sign,
+        "min_deg": joint.min_deg,
+        "max_deg": joint.max_deg,
+        "speed_deg_s": joint.speed_deg_s,
+    }
+    return row
+
+
+def pose_row(cell: Cell) -> Json:
+    centre = cell.grid.centre
+    names = ("x_mm", "y_mm", "z_mm", "a_deg", "b_deg", "c_deg")
+    return {name: value for name in names if (value := getattr(centre, name)) or name[0] in "xyz"}
+
+
+def _middle_of_travel(text: CellText) -> float:
+    ends = (text.get("rail.travel_min_mm"), text.get("rail.travel_max_mm"))
+    low_mm, high_mm = (float(end) if isinstance(end, (int, float)) else 0.0 for end in ends)
+    return round((low_mm + high_mm) / 2.0, 1)

@@ -1,0 +1,224 @@
+"""The steps before anything moves: which devices there are, and what they can.
+
+Devices are found by their drivers (`hilcell.ports.Discovers`), which listen and read only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from threading import Event
+
+import msgspec
+
+from hilcell import ports
+from hilcell.cell.devices import GROUPS, driver_options, installed, load_entry, start_simulation
+from hilcell.cell.file import NO_RAIL, Cell, load_cell
+from hilcell.cell.layout import Nest
+from hilcell.cell.settings import SettingsError, convert, read_text
+from hilcell.clock import WallClock
+from hilcell.commission.cell_text import CellText
+from hilcell.commission.dialogue import Dialogue, number, word
+from hilcell.commission.draft import known_robots, write_new, write_places, write_robot
+from hilcell.commission.record import Check
+from hilcell.decoding import Json
+from hilcell.errors import HilcellError
+
+DRAWING_MM = 1e5
+REAL = "real"
+Addresses = Mapping[str, Mapping[str, object]]
+
+
+class WhichDevices:
+    """Asks for makes and addresses, finds the devices, and writes the first cell file."""
+
+    def __init__(self, path: Path, text: CellText, dialogue: Dialogue) -> None:
+        self._path, self._text, self._dialogue = path, text, dialogue
+
+    def perform(self) -> list[Check]:
+        """Return what was found; raises `HilcellError`."""
+        write_new(self._text, "name", self._path.stem)
+        self._once("serial", "serial or inventory number of this cell", word("a number"), "1")
+        addresses = self._simulated()
+        checks = [
+            self._device(table, addresses.get(table, {})) for table in ("robot", "rail", "tracker")
+        ]
+        self._robot(checks[0])
+        self._rail()
+        self._nests()
+        self._text.write(self._path)
+        load_cell(str(self._path))
+        return checks
+
+    def _simulated(self) -> Addresses:
+        """Return the addresses of a simulated hall; none for real devices."""
+        address = self._text.get("simulation.address")
+        if address is None:
+            known = "real" if any(self._text.get(table) for table in GROUPS) else ""
+            address = known or self._dialogue.ask(
+                "real devices, or a simulated hall (HOST:PORT, as `hilcell sim` prints)?",
+                word("real or HOST:PORT"),
+                REAL,
+            )
+            if address != REAL:
+                self._text.set("simulation.simulator", "paper")
+                self._text.set("simulation.address", str(address))
+        self._dialogue.real = address == REAL
+        return {} if self._dialogue.real else addresses_of(str(address))
+
+    def _device(self, table: str, known: Mapping[str, object]) -> Check:
+        """Choose a driver, find its device, and write what it answers."""
+        driver = self._text.get(f"{table}.driver")
+        if driver is None:
+            group = GROUPS[table]
+            makes = {name: summary_of(load_entry(group, name)) for name in installed(group)}
+            driver = self._dialogue.choose(f"{table}: which driver?", makes)
+            self._text.set(f"{table}.driver", driver)
+        kind = load_entry(GROUPS[table], str(driver))
+        stated = self._text.get(f"{table}.options")
+        options: Json = {**known, **stated} if isinstance(stated, Mapping) else dict(known)
+        if not options:
+            options = self._address(table, kind)
+        found, title = self._found(table, kind, options)
+        for key, value in found.items():
+            self._text.set(f"{table}.options.{key}", value)
+        if table == "tracker":
+            self._once(
+                "tracker.reflector", "reflector, by its name in the tracker", word("a name"),
+                "SMR 1.5in",
+            )  # fmt: skip
+        return Check(
+            what=f"{table} ({driver})",
+            found=title,
+            expected="a device that answers",
+            holds=True,
+            values={f"{table}.options.{key}": value for key, value in found.items()},
+        )
+
+    def _address(self, table: str, kind: type) -> Json:
+        """Ask for what the driver cannot find without: its host or its channel."""
+        names = {each.name for each in msgspec.structs.fields(kind.Options)}  # type: ignore[attr-defined]
+        for key, example in (("host", "192.168.10.20"), ("channel", "can0")):
+            if key in names:
+                question = f"{table}: {key} (such as {example})?"
+                return {key: self._dialogue.ask(question, word(f"a {key}"))}
+        return {}
+
+    def _found(self, table: str, kind: type, options: Json) -> tuple[Json, str]:
+        """Return the options of the device that answers, and its title."""
+        if not issubclass(kind, ports.Discovers):
+            return options, ", ".join(f"{key} {value}" for key, value in options.items()) or "none"
+        candidates = kind.discover(options)
+        for each in candidates:
+            self._dialogue.say(f"{table}: {each.title}")
+        if not candidates:
+            raise HilcellError(
+                f"{table}: no device answers at {options}; check its power, cable and address",
+                code="HC-C40",
+            )
+        names = {str(n): each.title for n, each in enumerate(candidates, start=1)}
+        taken = "1" if len(names) == 1 else self._dialogue.choose(f"{table}: which one?", names)
+        chosen = candidates[int(taken) - 1]
+        return options | chosen.options, chosen.title
+
+    def _robot(self, found: Check) -> None:
+        known = known_robots()
+        if self._text.get("robot.joint") is not None:
+            return
+        stated = [name for name in known if alike(name, found.found)]
+        name = self._dialogue.choose(
+            "robot: whose nominal kinematics?",
+            {name: f"of the built-in cell {cell.name}" for name, cell in known.items()},
+            stated[0] if stated else "",
+        )
+        write_robot(self._text, name)
+
+    def _rail(self) -> None:
+        if self._text.get("rail.driver") == NO_RAIL:
+            return
+        limits = number(-DRAWING_MM, DRAWING_MM, "mm")
+        for key, question in (
+            ("travel_min_mm", "rail: lower end of the travel, mm by the strip"),
+            ("travel_max_mm", "rail: upper end of the travel, mm by the strip"),
+        ):
+            self._once(f"rail.{key}", question, limits)
+        self._once("rail.speed_mm_s", "rail: speed, mm/s", number(1.0, 1e4, "mm/s"), "250")
+        self._once(
+            "rail.acceleration_mm_s2", "rail: acceleration, mm/s2", number(1.0, 1e5, "mm/s2"),
+            "200",
+        )  # fmt: skip
+
+    def _nests(self) -> None:
+        if self._text.get("layout.floor") is None:
+            nests = self._dialogue.ask(
+                "floor nests: a CSV file of the drawing (name,x_mm,y_mm,z_mm in {W})", drawing
+            )
+            self._text.set("layout.floor", nests, "of the drawing")
+        if self._text.get("layout.slide") is None:
+            count = self._dialogue.ask(
+                "how many nests are on the slide?", lambda text: int(number(3, 100, "")(text)), "4"
+            )
+            write_places(self._text, count)
+
+    def _once(
+        self, path: str, question: str, parse: Callable[[str], object], default: str = ""
+    ) -> None:
+        """Ask for a value unless the file has it."""
+        if self._text.get(path) is None:
+            self._text.set(path, self._dialogue.ask(question, parse, default))
+
+
+def drawing(answer: str) -> list[Json]:
+    """Return the nests of a CSV file; raises `ValueError`."""
+    try:
+        lines = read_text(Path(answer)).splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{answer}: {error}") from error
+    header, *rows = [[each.strip() for each in line.split(",")] for line in lines if line.strip()]
+    if header != [*Nest.__struct_fields__]:
+        raise ValueError(f"{answer}: expected the header {','.join(Nest.__struct_fields__)}")
+    nests: list[Json] = []
+    for row in rows:
+        try:
+            name, *xyz = row
+            nest = dict(zip(header, [name, *map(float, xyz)], strict=True))
+            convert(nest, Nest, answer)
+        except (ValueError, SettingsError) as error:
+            raise ValueError(f"{answer}: {','.join(row)}: {error}") from error
+        nests.append(nest)
+    if len(nests) < 3:
+        raise ValueError(f"{answer}: expected three or more nests, got {len(nests)}")
+    return nests
+
+
+def addresses_of(address: str) -> Addresses:
+    """Return where the devices of a running simulated hall listen; raises `HilcellError`."""
+    cell = load_cell("paper", {"simulation.address": address})
+    simulated = start_simulation(cell, seed=None, speed=1.0)
+    assert simulated is not None  # noqa: S101 - the cell is a simulated one
+    try:
+        return simulated.options
+    finally:
+        simulated.close()
+
+
+def what_devices_can(cell: Cell) -> list[tuple[str, list[ports.Ability]]]:
+    """Return the abilities of each device, by table; nothing is written, powered or moved."""
+    simulated = {} if cell.simulation is None else addresses_of(cell.simulation.address)
+    found = []
+    for table in GROUPS:
+        kind, options = driver_options(cell, table, simulated.get(table, {}))
+        device = kind(options, WallClock(Event()))
+        if isinstance(device, ports.Inspects):
+            found.append((table, device.inspect()))
+    return found
+
+
+def summary_of(kind: type) -> str:
+    return (kind.__doc__ or "").strip().partition("\n")[0].rstrip(".")
+
+
+def alike(name: str, title: str) -> bool:
+    """Whether a title names a robot, regardless of blanks and case."""
+    first = name.replace(" ", "").casefold().partition("r2700")[0]
+    return first in title.replace(" ", "").casefold()

@@ -1,0 +1,502 @@
+"""Commissioning of places: the tracker by the floor nests, rail and base by the flange, the slide.
+
+A person puts the beam on each nest, in any order: the nests are recognised by their distances. All
+else follows by small motions, each predicted from those before it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import count
+
+import numpy as np
+
+from hilcell.cell.devices import jogging_rail
+from hilcell.cell.file import Cell
+from hilcell.geometry.frames import apply, inverse, zyx_from_pose
+from hilcell.geometry.kinematics import forward
+from hilcell.identification.places import (
+    BaseFit,
+    Recognition,
+    fit_base,
+    rail_direction,
+    rail_scale,
+    recognised,
+)
+from hilcell.journal.log import Log
+from hilcell.model.events import PlaceSeen
+from hilcell.model.plan import PlannedStep, Span
+from hilcell.ports import Array, HilcellError, NoReading
+from hilcell.run.cell_session import CellSession
+from hilcell.run.mover import StraightApproach
+from hilcell.run.procedure import Procedure, Result, Step
+from procedures.plan import measure_s, rail_move_s, robot_moves_s
+from procedures.proved import prove, proved_result, proved_table
+
+NEST_TRIES = 40  # looks at reflectors that are none of those asked for
+SAME_MM = 20.0  # two readings nearer than this are of one nest
+AIM_S = 20.0  # that a person takes for a nest
+WIGGLE_DEG = 1.0
+SEARCH_MM = 100.0  # around a reflector that moved by a degree of an axis
+SAMPLES = 5
+
+
+class _Proving(Step):
+    def result(self, log: Log) -> Result:
+        return proved_result(log)
+
+
+# -- the tracker -----------------------------------------------------------------------------------
+
+
+class FindTracker(_Proving):
+    """The beam on each floor nest, in any order."""
+
+    name = "find-tracker"
+    needs = "reflectors in the floor nests, a person who puts the beam on them"
+    moves = "nothing"
+    measures = "every floor nest"
+    yields = "the tracker's pose in {W}"
+
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
+        nests = len(cell.layout.fixed_nests)
+        seconds = nests * (AIM_S + measure_s(cell, SAMPLES))
+        return PlannedStep.of_spans(self.name, 0, [Span("nests", nests, seconds)])
+
+    def perform(self, session: CellSession) -> None:
+        session.reach("connect")
+        nests, limit_mm = session.cell.layout.fixed_nests, session.cell.layout.nest_tolerance_mm
+        nominal_mm = np.array([nest.xyz_mm for nest in nests])
+        seen: list[PlaceSeen] = []
+        for number in range(1, len(nests) + 1):
+            place = session.aimed_place(
+                f"floor nest {number}",
+                f"a floor nest ({number} of {len(nests)}), in any order",
+                not_a_nest(nominal_mm, places_mm(seen), limit_mm),
+                SAMPLES,
+                tries=NEST_TRIES,
+            )
+            if place is None:
+                break
+            seen.append(place)
+        known = recognised(nominal_mm, places_mm(seen), limit_mm) if len(seen) > 2 else []
+        upright = [each for each in known if each.upright]
+        self._judge(session, [nest.name for nest in nests], (upright or known)[:1], known)
+
+    @staticmethod
+    def _judge(
+        session: CellSession,
+        names: list[str],
+        chosen: list[Recognition],
+        known: list[Recognition],
+    ) -> None:
+        if not chosen:
+            prove(
+                session,
+                "floor nests",
+                holds=False,
+                found="fewer than three nests at the distances of the drawing",
+                expected=f"{', '.join(names)}, within {session.cell.layout.nest_tolerance_mm:g} mm",
+            )
+            return
+        best = chosen[0]
+        taken = [names[nest] if nest >= 0 else "none" for nest in best.nests]
+        missing = [name for name in names if name not in taken]
+        doubt = "" if len(known) < 2 else "; their distances alone allow exchanged nests, too"
+        prove(
+            session,
+            "floor nests",
+            holds=not missing,
+            found=f"{', '.join(taken)}, in the order of the beam, off at most {best.worst_mm:.2f} "
+            f"mm{doubt}" + (f"; not found: {', '.join(missing)}" if missing else ""),
+            expected=f"all nests of the drawing within {session.cell.layout.nest_tolerance_mm:g} mm",
+        )
+        pose = pose_values(best.T_W_L)
+        stands = "upright" if best.upright else "upside down"
+        prove(
+            session,
+            "tracker",
+            holds=True,
+            found=f"x {pose['x_mm']:.0f}, y {pose['y_mm']:.0f}, z {pose['z_mm']:.0f} mm in {{W}}, "
+            f"{stands}",
+            expected="a pose by three nests or more",
+            values={"tracker.pose": pose},
+        )
+
+
+def not_a_nest(nominal_mm: Array, taken_mm: Array, limit_mm: float) -> Callable[[Array], str]:
+    """Return why a position (3,), tracker's frame, is no further nest of the drawing; "" if it is."""
+
+    def refusal(at_mm: Array) -> str:
+        if bool(np.any(np.linalg.norm(taken_mm - at_mm, axis=1) < SAME_MM)):
+            return "this nest is taken already"
+        seen_mm = np.vstack([taken_mm, at_mm])
+        if len(seen_mm) > 2:
+            agrees = bool(recognised(nominal_mm, seen_mm, limit_mm)) and _all_recognised(
+                nominal_mm, seen_mm, limit_mm
+            )
+        elif len(seen_mm) == 2:
+            apart = np.linalg.norm(nominal_mm[:, None] - nominal_mm, axis=-1)
+            apart_mm = float(np.linalg.norm(seen_mm[0] - seen_mm[1]))
+            agrees = bool(np.any(np.abs(apart - apart_mm) <= 2.0 * limit_mm))
+        else:
+            agrees = True
+        return "" if agrees else "its distances are those of no nest of the drawing"
+
+    return refusal
+
+
+def _all_recognised(nominal_mm: Array, seen_mm: Array, limit_mm: float) -> bool:
+    return any(min(each.nests) >= 0 for each in recognised(nominal_mm, seen_mm, limit_mm))
+
+
+def places_mm(seen: Sequence[PlaceSeen]) -> Array:
+    return np.array([each.xyz_mm for each in seen]).reshape(-1, 3)
+
+
+def pose_values(T: Array) -> dict[str, float]:
+    """Return a pose (4, 4) as the cell file has it."""
+    values = zyx_from_pose(T[None])[0]
+    names = ("x_mm", "y_mm", "z_mm", "a_deg", "b_deg", "c_deg")
+    return {name: round(float(value), 3) for name, value in zip(names, values, strict=True)}
+
+
+# -- rail and base, by the reflector on the flange -------------------------------------------------
+
+RAIL_MM = (20.0, 100.0, 300.0)  # motions of the slide with the parked robot, each from the start
+RIDE_SHARE = 1e-3  # that the strip's scale may differ from the tracker's
+DIRECTION_MM = 1.0
+AXIS_DEG = (1.0, 8.0)
+MORE_POSES, MORE_DEG = 10, 15.0
+BASE_PERCENT = 5.0
+FIT_MM = 3.0  # of a robot with nominal kinematics, rms
+TOOL_MM = 3.0
+
+
+class FindBase(_Proving):
+    """The reflector on the flange while the slide moves, then while the robot does."""
+
+    name = "find-base"
+    needs = "the tracker's pose, a reflector on the flange, the robot at its safe pose"
+    moves = (
+        "the slide by 20, 100 and 300 mm and back; each axis by 1 and 8 deg, then all axes by at "
+        f"most {MORE_DEG:g} deg around the safe pose, at {BASE_PERCENT:g} %"
+    )
+    measures = "the reflector on the flange after each motion"
+    yields = "the rail's direction, the base in {W}, the reflector on the flange"
+
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
+        joints_rad = self._poses(cell, seed)
+        percent = np.full(len(joints_rad) - 1, BASE_PERCENT)
+        robot_s = float(np.sum(robot_moves_s(cell, joints_rad[:-1], joints_rad[1:], percent)))
+        each_s = cell.settle.robot_s + measure_s(cell, SAMPLES)
+        rail_s = sum(2.0 * rail_move_s(cell, distance_mm) for distance_mm in RAIL_MM)
+        spans = [
+            Span("slide", len(RAIL_MM), rail_s if cell.has_rail else 0.0),
+            Span("poses", len(joints_rad), AIM_S + robot_s + len(joints_rad) * each_s),
+        ]
+        return PlannedStep.of_spans(self.name, 0, spans)
+
+    def perform(self, session: CellSession) -> None:
+        session.reach("connect")
+        cell = session.cell
+        session.parked()
+        at_start = self._flange(session)
+        along = np.array(cell.layout.rail_direction)
+        if cell.has_rail:
+            found = self._ride(session, at_start)
+            if found is None:
+                return
+            along = found
+        fit = self._fit(session, at_start)
+        if fit is None:
+            return
+        self._judge_base(session, fit, along, at_start.strip_mm)
+
+    def _flange(self, session: CellSession) -> PlaceSeen:
+        """Return the reflector that moves with axis 1, at the safe pose."""
+        cell, T_W_L = session.cell, session.cell.tracker.pose.matrix()
+        safe_rad = np.radians(cell.robot.safe_deg)
+        fixed_mm = apply(inverse(T_W_L), [nest.xyz_mm for nest in cell.layout.fixed_nests])
+        others: list[PlaceSeen] = []
+        for number in count(1):
+            place = session.aimed_place(
+                f"flange {number}",
+                "the reflector on the robot's flange",
+                not_near(np.vstack([fixed_mm, places_mm(others)])),
+                SAMPLES,
+                tries=NEST_TRIES,
+            )
+            if place is None:
+                raise HilcellError(
+                    "the beam was put on no reflector that moves with axis 1; put it on the one on "
+                    "the flange, then repeat the step",
+                    code="HC-C41",
+                )
+            moved_rad = safe_rad.copy()
+            moved_rad[0] += np.radians(WIGGLE_DEG)
+            jogged(session, moved_rad, safe_rad, f"flange {number} turned")
+            stayed = self._is_at(session, f"flange {number} stayed", np.array(place.xyz_mm))
+            jogged(session, safe_rad, moved_rad, f"flange {number} back")
+            if not stayed:
+                return place
+            others.append(place)
+        raise AssertionError
+
+    @staticmethod
+    def _is_at(session: CellSession, key: str, at_mm: Array) -> bool:
+        try:
+            seen = session.found_place(key, at_mm, 1, radius_mm=10.0)
+        except NoReading:
+            return False
+        return float(np.linalg.norm(np.array(seen.xyz_mm) - at_mm)) < 1.0
+
+    @staticmethod
+    def _ride(session: CellSession, at_start: PlaceSeen) -> Array | None:
+        """Move the slide with the robot parked; return the rail's direction in {W}, (3,)."""
+        cell, rail = session.cell, session.devices.rail.read()
+        middle_mm = (cell.rail.travel_min_mm + cell.rail.travel_max_mm) / 2.0
+        way = 1.0 if rail.strip_mm < middle_mm else -1.0
+        seen = [at_start]
+        near_mm, radius_mm = np.array(at_start.xyz_mm), 1.5 * RAIL_MM[0]
+        for distance_mm in RAIL_MM:
+            session.rail_to(rail.position_mm + way * distance_mm)
+            found = session.found_place(
+                f"slide {distance_mm:g} mm", near_mm, SAMPLES, radius_mm=radius_mm
+            )
+            seen.append(found)
+            step = next((each for each in RAIL_MM if each > distance_mm), 0.0)
+            moved_mm = np.array(found.xyz_mm) - np.array(at_start.xyz_mm)
+            near_mm = np.array(at_start.xyz_mm) + moved_mm * step / distance_mm
+            radius_mm = 20.0
+        session.rail_to(rail.position_mm)
+        strips_mm = [each.strip_mm for each in seen]
+        R = cell.tracker.pose.matrix()[:3, :3]
+        along = R @ rail_direction(strips_mm, places_mm(seen))
+        scale = rail_scale(strips_mm, places_mm(seen))
+        values: dict[str, object] = {}
+        if not abs(scale - 1.0) <= RIDE_SHARE:
+            options = jogging_rail(session.devices.rail).rescaled(scale, scale, 1.0)
+            values = {f"rail.options.{key}": value for key, value in options.items()}
+        right = prove(
+            session,
+            "scale by the tracker",
+            holds=abs(scale - 1.0) <= RIDE_SHARE,
+            found=f"{scale:.5f} mm by the tracker a mm of the strip, over {RAIL_MM[-1]:g} mm",
+            expected=f"1 within {RIDE_SHARE:g}",
+            values=values,
+        )
+        return along if right else None
+
+    def _fit(self, session: CellSession, at_start: PlaceSeen) -> BaseFit | None:
+        """Move the robot more and more, each motion predicted by those before it."""
+        cell, arm = session.cell, session.cell.robot.arm()
+        poses_rad = self._poses(cell, session.seed)
+        seen, joints_rad = [at_start], [np.radians(at_start.joints_deg)]
+        fit: BaseFit | None = None
+        for number, pose_rad in enumerate(poses_rad[1:], start=1):
+            jogged(session, pose_rad, poses_rad[number - 1], f"pose {number}", BASE_PERCENT)
+            near_mm, radius_mm = np.array(at_start.xyz_mm), SEARCH_MM
+            if fit is not None:
+                near_mm, radius_mm = fit.predict_mm(arm, pose_rad)[0], SEARCH_MM / 2
+            found = session.found_place(f"pose {number}", near_mm, SAMPLES, radius_mm=radius_mm)
+            seen.append(found)
+            joints_rad.append(np.radians(found.joints_deg))
+            if number >= len(cell.robot.joint) * 2:
+                fit = self._fitted(cell, joints_rad, seen, 20.0)
+                if fit.rms_mm > FIT_MM and not self._judge_axes(session, fit):
+                    return None
+        session.parked()
+        fit = self._fitted(cell, joints_rad, seen, 1e3)
+        return fit if self._judge_axes(session, fit) else None
+
+    @staticmethod
+    def _fitted(
+        cell: Cell, joints_rad: Sequence[Array], seen: Sequence[PlaceSeen], u_smr_mm: float
+    ) -> BaseFit:
+        return fit_base(
+            cell.robot.arm(),
+            np.array(joints_rad),
+            places_mm(seen),
+            np.array(cell.robot.smr_mm),
+            u_smr_mm,
+        )
+
+    @staticmethod
+    def _judge_axes(session: CellSession, fit: BaseFit) -> bool:
+        return prove(
+            session,
+            "axes",
+            holds=fit.rms_mm <= FIT_MM,
+            found=f"the reflector is {fit.rms_mm:.2f} mm rms from where nominal kinematics turn it",
+            expected=f"<= {FIT_MM:g} mm: senses and couplings of all axes as in the cell file",
+        )
+
+    @staticmethod
+    def _judge_base(session: CellSession, fit: BaseFit, along: Array, strip_mm: float) -> None:
+        cell, T_W_L = session.cell, session.cell.tracker.pose.matrix()
+        stated_mm = np.array(cell.robot.smr_mm)
+        off_mm = float(np.linalg.norm(fit.smr_mm - stated_mm))
+        smr = ", ".join(f"{value:.1f}" for value in fit.smr_mm)
+        limit_mm = TOOL_MM + 2.0 * fit.smr_u_mm
+        if not prove(
+            session,
+            "reflector on the flange",
+            holds=off_mm <= limit_mm,
+            found=f"at {smr} mm in the flange by the tracker, u {fit.smr_u_mm:.2f} mm; {off_mm:.2f} "
+            "mm from the controller's tool",
+            expected=f"<= {limit_mm:.1f} mm; otherwise enter the measured place as the tool on the "
+            "controller, and repeat from step controller",
+        ):
+            return
+        T_W_B = T_W_L @ fit.T_L_B
+        T_W_B[:3, 3] -= strip_mm * along
+        u_mm = float(np.sqrt(np.linalg.eigvalsh(fit.covariance[:3, :3])[-1]))
+        pose = pose_values(T_W_B)
+        prove(
+            session,
+            "base",
+            holds=u_mm <= cell.layout.base_tolerance_mm,
+            found=f"x {pose['x_mm']:.1f}, y {pose['y_mm']:.1f}, z {pose['z_mm']:.1f} mm in {{W}} at "
+            f"0 mm of the rail, u {u_mm:.2f} mm",
+            expected=f"u <= {cell.layout.base_tolerance_mm:g} mm",
+            values={
+                "layout.base": pose,
+                "layout.rail_direction": [float(each) for each in along],
+            },
+        )
+
+    @staticmethod
+    def _poses(cell: Cell, seed: int) -> Array:
+        """Return joints (N, 6): the safe pose, each axis by 1 and 8 deg, then random ones."""
+        safe_deg = np.array(cell.robot.safe_deg)
+        low, high = np.degrees(cell.robot.margin_limits_rad)
+        way = np.where(safe_deg < (low + high) / 2.0, 1.0, -1.0)
+        rows = [safe_deg]
+        for size_deg in AXIS_DEG:
+            for axis in range(6):
+                row = safe_deg.copy()
+                row[axis] += size_deg * way[axis]
+                rows.append(row)
+        rng = np.random.default_rng([seed, 35])
+        rows += list(safe_deg + rng.uniform(-MORE_DEG, MORE_DEG, (MORE_POSES, 6)))
+        return np.radians(np.clip(np.array(rows), low, high))
+
+
+def not_near(others_mm: Array) -> Callable[[Array], str]:
+    """Return why a position (3,) is none of the reflectors looked for: it is one of (N, 3)."""
+
+    def refusal(at_mm: Array) -> str:
+        near = bool(np.any(np.linalg.norm(others_mm - at_mm, axis=1) < SAME_MM))
+        return "this reflector is another one, known already" if near else ""
+
+    return refusal
+
+
+def jogged(
+    session: CellSession, joints_rad: Array, from_rad: Array, what: str, percent: float = 1.0
+) -> None:
+    session.robot_to(joints_rad, what, straight=StraightApproach(from_rad, percent))
+
+
+# -- the slide -------------------------------------------------------------------------------------
+
+
+class FindSlide(_Proving):
+    """The beam on each nest of the slide, in any order; they ride with the slide."""
+
+    name = "find-slide"
+    needs = "the base, reflectors in the slide's nests, a person who puts the beam on them"
+    moves = "the slide by 100 mm and back"
+    measures = "every nest of the slide, and the first one again after the motion"
+    yields = "the nests of the slide in nominal {B}"
+
+    RIDE_MM = 100.0
+
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
+        nests = len(cell.layout.slide)
+        seconds = nests * (AIM_S + measure_s(cell, SAMPLES)) + 2.0 * rail_move_s(cell, self.RIDE_MM)
+        return PlannedStep.of_spans(self.name, 0, [Span("nests", nests, seconds)])
+
+    def perform(self, session: CellSession) -> None:
+        session.reach("connect")
+        cell, T_L_W = session.cell, inverse(session.cell.tracker.pose.matrix())
+        session.parked()
+        rail = session.devices.rail.read()
+        T_L_B = T_L_W @ cell.layout.nominal_base(rail.strip_mm)
+        fixed_mm = apply(T_L_W, [nest.xyz_mm for nest in cell.layout.fixed_nests])
+        safe = forward(cell.robot.arm(), np.radians(cell.robot.safe_deg))
+        flange_mm = apply(T_L_B, safe[None, :3, 3])
+        seen: list[PlaceSeen] = []
+        names = [nest.name for nest in cell.layout.slide]
+        for number, name in enumerate(names, start=1):
+            place = session.aimed_place(
+                f"slide nest {number}",
+                f"a nest on the slide ({number} of {len(names)}), in any order; it becomes {name}",
+                not_near(np.vstack([fixed_mm, flange_mm, places_mm(seen)])),
+                SAMPLES,
+                tries=NEST_TRIES,
+            )
+            if place is None:
+                break
+            seen.append(place)
+        in_base_mm = apply(inverse(T_L_B), places_mm(seen))
+        nests = [
+            {"name": name, "x_mm": round(x, 3), "y_mm": round(y, 3), "z_mm": round(z, 3)}
+            for name, (x, y, z) in zip(names, in_base_mm.tolist(), strict=False)
+        ]
+        if prove(
+            session,
+            "slide nests",
+            holds=len(seen) == len(names),
+            found=f"{len(seen)} nests on the slide",
+            expected=f"{len(names)}: {', '.join(names)}",
+            values={"layout.slide": nests} if len(seen) == len(names) else {},
+        ):
+            self._ride(session, seen[0], rail.position_mm)
+
+    def _ride(self, session: CellSession, first: PlaceSeen, from_mm: float) -> None:
+        """Verify that a nest rides as the base and the rail's direction predict."""
+        cell = session.cell
+        middle_mm = (cell.rail.travel_min_mm + cell.rail.travel_max_mm) / 2.0
+        way = 1.0 if first.strip_mm < middle_mm else -1.0
+        session.rail_to(from_mm + way * self.RIDE_MM)
+        moved_mm = session.devices.rail.read().strip_mm - first.strip_mm
+        R_L_W = cell.tracker.pose.matrix()[:3, :3].T
+        along = R_L_W @ np.array(cell.layout.rail_direction)
+        near_mm = np.array(first.xyz_mm) + moved_mm * along
+        found = session.found_place("slide nest rides", near_mm, SAMPLES, radius_mm=20.0)
+        session.rail_to(from_mm)
+        off_mm = float(np.linalg.norm(np.array(found.xyz_mm) - near_mm))
+        limit_mm = cell.layout.nest_tolerance_mm
+        prove(
+            session,
+            "slide nest rides",
+            holds=off_mm <= limit_mm,
+            found=f"{off_mm:.3f} mm from its predicted place after {moved_mm:.1f} mm",
+            expected=f"<= {limit_mm:g} mm",
+        )
+
+
+COMMISSION_TRACKER = Procedure(
+    "commission-tracker",
+    "commissioning: the tracker's pose, by the floor nests in any order; attended",
+    (FindTracker(),),
+    proved_table,
+    by_hand="put the tracker's beam on the floor nests",
+)
+COMMISSION_BASE = Procedure(
+    "commission-base",
+    "commissioning: the rail's direction, the base, the reflector on the flange; attended",
+    (FindBase(),),
+    proved_table,
+    by_hand="put the tracker's beam on the flange's reflector",
+)
+COMMISSION_SLIDE = Procedure(
+    "commission-slide",
+    "commissioning: the nests on the slide; attended",
+    (FindSlide(),),
+    proved_table,
+    of_rail=True,
+    by_hand="put the tracker's beam on the slide's nests",
+)

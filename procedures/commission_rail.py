@@ -1,0 +1,205 @@
+"""Commissioning of the rail: small jogs first, each judged before the next.
+
+Drive and strip must agree in sign and scale, the drive's own speed with its positions, and a stop
+must stop. A jog moves at most its bound, whatever the drive's scale is.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from hilcell.cell.devices import jogging_rail
+from hilcell.cell.file import Cell
+from hilcell.identification.rail_motion import JogFigures, jog_figures, stop_figures
+from hilcell.journal.log import Log
+from hilcell.model.events import SlideJogged
+from hilcell.model.plan import PlannedStep, Span
+from hilcell.run.cell_session import CellSession
+from hilcell.run.procedure import Procedure, Result, Step
+from procedures.plan import homing_s, rail_move_s
+from procedures.proved import prove, proved_result, proved_table
+
+
+class Jog(NamedTuple):
+    """A jog towards the middle of the travel (``way`` +1) or back; bound: before a quick stop."""
+
+    key: str
+    distance_mm: float
+    speed_mm_s: float
+    way: int = 1
+
+    @property
+    def bound_mm(self) -> float:
+        return 1.2 * self.distance_mm + 3.0
+
+
+JOGS = (
+    Jog("5 mm", 5.0, 2.0),
+    Jog("5 mm back", 5.0, 2.0, -1),
+    Jog("20 mm", 20.0, 5.0),
+    Jog("20 mm back", 20.0, 5.0, -1),
+    Jog("100 mm", 100.0, 20.0),
+    Jog("100 mm back", 100.0, 20.0, -1),
+    Jog("500 mm", 500.0, 50.0),
+    Jog("500 mm back", 500.0, 50.0, -1),
+)
+STOP = Jog("stop", 500.0, 50.0)
+STOP_AFTER_MM = 100.0
+SCALE_SHARE = 2e-3  # that drive and strip may differ in scale
+SPEED_SHARE = 0.1  # that the drive's own speed may differ from its positions
+
+
+class RailJogs(Step):
+    """Jogs of 5 to 500 mm: sign, scale, backlash, speed unit, stop."""
+
+    name = "rail-jogs"
+    needs = "a robot parked clear of the slide, a slide free for 500 mm towards the middle"
+    moves = "the slide by 5, 20, 100 and 500 mm towards the middle of its travel, and back"
+    measures = "drive, strip, and the drive's own speed"
+    yields = "signs, scales, speed unit, backlash and the stop of the rail"
+
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
+        seconds = sum(
+            jog.distance_mm / jog.speed_mm_s + rail_move_s(cell, 0.0) for jog in (*JOGS, STOP)
+        )
+        return PlannedStep.of_spans(self.name, 0, [Span("jogs", 0, seconds)])
+
+    def perform(self, session: CellSession) -> None:
+        session.reach("connect")
+        rail, cell = session.devices.rail.read(), session.cell.rail
+        room_mm = cell.travel_max_mm - cell.travel_min_mm
+        towards = 1 if rail.strip_mm < (cell.travel_min_mm + cell.travel_max_mm) / 2 else -1
+        for jog in JOGS:
+            if jog.distance_mm > room_mm / 2:
+                break
+            jogged = self._jog(session, jog, towards)
+            if not self._judged(session, jog, jogged):
+                return
+        self._judge_backlash(session)
+        jogged = self._jog(session, STOP, towards, stop_after_mm=min(STOP_AFTER_MM, room_mm / 8))
+        stop = stop_figures(jogged)
+        limit_mm = stop.expected_mm(cell.acceleration_mm_s2)
+        prove(
+            session,
+            "stop",
+            holds=jogged.stopped_by == "stop" and stop.distance_mm <= limit_mm,
+            found=f"{stop.distance_mm:.1f} mm and {stop.duration_s:.2f} s from "
+            f"{stop.speed_mm_s:.0f} mm/s to rest",
+            expected=f"<= {limit_mm:.1f} mm",
+        )
+
+    @staticmethod
+    def _jog(
+        session: CellSession, jog: Jog, towards: int, stop_after_mm: float | None = None
+    ) -> SlideJogged:
+        return session.jog_rail(
+            jog.key,
+            towards * jog.way * jog.distance_mm,
+            bound_mm=jog.bound_mm,
+            speed_mm_s=jog.speed_mm_s,
+            stop_after_mm=stop_after_mm,
+        )
+
+    def _judged(self, session: CellSession, jog: Jog, jogged: SlideJogged) -> bool:
+        """Judge one jog; return whether the next may follow."""
+        figures = jog_figures(jogged)
+        return self._judged_scale(session, jog, figures) and self._judged_speed(
+            session, jog, figures
+        )
+
+    @staticmethod
+    def _judged_scale(session: CellSession, jog: Jog, figures: JogFigures) -> bool:
+        """Judge sign and scale; a short jog leaves the backlash open."""
+        limit = SCALE_SHARE + session.cell.rail.max_backlash_mm / jog.distance_mm
+        holds = figures.stopped_by == "" and abs(figures.scale - 1.0) <= limit
+        values = {}
+        if not holds and abs(figures.scale) > 0.02:
+            options = jogging_rail(session.devices.rail).rescaled(figures.simple_scale, 1.0, 1.0)
+            values = {f"rail.options.{key}": value for key, value in options.items()}
+        return prove(
+            session,
+            f"scale by {jog.key}",
+            holds=holds,
+            found=f"drive {figures.driven_mm:+.3f} mm, strip {figures.moved_mm:+.3f} mm: "
+            f"{figures.words(limit)}",
+            expected=f"equal within {100 * limit:.1f} %, and their directions",
+            values=values,
+        )
+
+    @staticmethod
+    def _judged_speed(session: CellSession, jog: Jog, figures: JogFigures) -> bool:
+        holds = abs(figures.speed_share - 1.0) <= SPEED_SHARE
+        values = {}
+        if not holds and figures.speed_share > 0.0:
+            options = jogging_rail(session.devices.rail).rescaled(1.0, 1.0, figures.speed_share)
+            values = {f"rail.options.{key}": value for key, value in options.items()}
+        return prove(
+            session,
+            f"speed in {jog.key}",
+            holds=holds,
+            found=f"{figures.speed_mm_s:.2f} mm/s by positions, {figures.stated_mm_s:.2f} mm/s by "
+            "the drive itself",
+            expected=f"equal within {100 * SPEED_SHARE:.0f} %",
+            values=values,
+        )
+
+    @staticmethod
+    def _judge_backlash(session: CellSession) -> None:
+        jogs = {each.key: each for each in session.log.happened(SlideJogged)}
+        back = jogs.get("100 mm back") or jogs["20 mm back"]
+        lost_mm = abs(back.driven_mm) - abs(back.moved_mm)
+        limit_mm = session.cell.rail.max_backlash_mm
+        prove(
+            session,
+            "backlash",
+            holds=abs(lost_mm) <= limit_mm,
+            found=f"{lost_mm:.3f} mm lost at a reversal",
+            expected=f"<= {limit_mm:g} mm",
+        )
+
+    def result(self, log: Log) -> Result:
+        return proved_result(log)
+
+
+class RailReference(Step):
+    """References the drive: drive and absolute strip must then agree."""
+
+    name = "rail-reference"
+    needs = "a rail whose signs and scales are proved"
+    moves = "the slide to its reference, where the homing method has one"
+    measures = "drive and strip"
+    yields = "a drive that reads as its strip"
+
+    def plan(self, cell: Cell, seed: int) -> PlannedStep:
+        return PlannedStep(self.name, 0, homing_s(cell))
+
+    def perform(self, session: CellSession) -> None:
+        if not all(verdict.holds for verdict in session.log.verdicts.values()):
+            return
+        if not session.rail_referenced():
+            session.pause(
+                f"the slide drives to its reference at {session.cell.rail.homing_mm_s:g} mm/s, "
+                "which may be the end of its travel; clear the rail and stay at the E-stop"
+            )
+            session.home_rail()
+        rail = session.devices.rail.read()
+        off_mm = rail.position_mm - rail.strip_mm
+        prove(
+            session,
+            "reference",
+            holds=abs(off_mm) <= session.cell.rail.slip_limit_mm,
+            found=f"drive {rail.position_mm:.2f} mm, strip {rail.strip_mm:.2f} mm",
+            expected=f"<= {session.cell.rail.slip_limit_mm:g} mm apart",
+        )
+
+    def result(self, log: Log) -> Result:
+        return proved_result(log)
+
+
+COMMISSION_RAIL = Procedure(
+    "commission-rail",
+    "commissioning: the rail by small jogs, each judged before the next",
+    (RailJogs(), RailReference()),
+    proved_table,
+    of_rail=True,
+)
