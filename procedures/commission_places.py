@@ -109,7 +109,7 @@ class FindTracker(_Proving):
             holds=not missing,
             found=f"{', '.join(taken)}, in the order of the beam, off at most {best.worst_mm:.2f} "
             f"mm{doubt}" + (f"; not found: {', '.join(missing)}" if missing else ""),
-            expected=f"all nests of the drawing within {session.cell.layout.nest_tolerance_mm:g} mm",
+            expected=f"all nests, within {session.cell.layout.nest_tolerance_mm:g} mm",
         )
         pose = pose_values(best.T_W_L)
         stands = "upright" if best.upright else "upside down"
@@ -125,7 +125,7 @@ class FindTracker(_Proving):
 
 
 def not_a_nest(nominal_mm: Array, taken_mm: Array, limit_mm: float) -> Callable[[Array], str]:
-    """Return why a position (3,), tracker's frame, is no further nest of the drawing; "" if it is."""
+    """Return why a position (3,), tracker's frame, is no further nest; "" if it is."""
 
     def refusal(at_mm: Array) -> str:
         if bool(np.any(np.linalg.norm(taken_mm - at_mm, axis=1) < SAME_MM)):
@@ -292,17 +292,19 @@ class FindBase(_Proving):
         """Move the robot more and more, each motion predicted by those before it."""
         cell, arm = session.cell, session.cell.robot.arm()
         poses_rad = self._poses(cell, session.seed)
-        seen, joints_rad = [at_start], [np.radians(at_start.joints_deg)]
+        # The slide came back through its backlash.
+        again = session.found_place("pose 0", np.array(at_start.xyz_mm), SAMPLES, radius_mm=20.0)
+        seen, joints_rad = [again], [np.radians(again.joints_deg)]
         fit: BaseFit | None = None
         for number, pose_rad in enumerate(poses_rad[1:], start=1):
             jogged(session, pose_rad, poses_rad[number - 1], f"pose {number}", BASE_PERCENT)
-            near_mm, radius_mm = np.array(at_start.xyz_mm), SEARCH_MM
+            near_mm, radius_mm = np.array(again.xyz_mm), SEARCH_MM
             if fit is not None:
                 near_mm, radius_mm = fit.predict_mm(arm, pose_rad)[0], SEARCH_MM / 2
             found = session.found_place(f"pose {number}", near_mm, SAMPLES, radius_mm=radius_mm)
             seen.append(found)
             joints_rad.append(np.radians(found.joints_deg))
-            if number >= len(cell.robot.joint) * 2:
+            if number >= len(cell.robot.joint):
                 fit = self._fitted(cell, joints_rad, seen, 20.0)
                 if fit.rms_mm > FIT_MM and not self._judge_axes(session, fit):
                     return None
@@ -343,8 +345,8 @@ class FindBase(_Proving):
             session,
             "reflector on the flange",
             holds=off_mm <= limit_mm,
-            found=f"at {smr} mm in the flange by the tracker, u {fit.smr_u_mm:.2f} mm; {off_mm:.2f} "
-            "mm from the controller's tool",
+            found=f"at {smr} mm in the flange by the tracker, u {fit.smr_u_mm:.2f} mm; "
+            f"{off_mm:.2f} mm from the controller's tool",
             expected=f"<= {limit_mm:.1f} mm; otherwise enter the measured place as the tool on the "
             "controller, and repeat from step controller",
         ):
@@ -357,8 +359,8 @@ class FindBase(_Proving):
             session,
             "base",
             holds=u_mm <= cell.layout.base_tolerance_mm,
-            found=f"x {pose['x_mm']:.1f}, y {pose['y_mm']:.1f}, z {pose['z_mm']:.1f} mm in {{W}} at "
-            f"0 mm of the rail, u {u_mm:.2f} mm",
+            found=f"x {pose['x_mm']:.1f}, y {pose['y_mm']:.1f}, z {pose['z_mm']:.1f} mm in {{W}} "
+            f"at 0 mm of the rail, u {u_mm:.2f} mm",
             expected=f"u <= {cell.layout.base_tolerance_mm:g} mm",
             values={
                 "layout.base": pose,

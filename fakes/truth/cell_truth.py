@@ -77,7 +77,11 @@ class CellTruth:
         self.reflector_at = ""  # place of the one reflector carried by hand; "": out of sight
         self.tracker = TrackerTruth(cell, seed, faults, self.reflectors_in_world)
         self.streams = StreamTruth(seed, self.robot, self.tracker, self.path_in_world)
-        self._person = Person([*self._floor_nests], fixed.generator("person"), time)
+        self._person = Person(
+            ([*self._floor_nests], [FLANGE], [nest.name for nest in cell.layout.slide]),
+            fixed.generator("person"),
+            time,
+        )
 
     def release_beam(self) -> None:
         """Let the person in the hall take the beam."""

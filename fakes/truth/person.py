@@ -1,8 +1,8 @@
-"""The person in the hall, who carries a tracker's beam that was let go to the next nest.
+"""The person in the hall, who carries a tracker's beam that was let go to the next reflector.
 
 A habit of the simulated world, of which no device and no wire knows: a tracker only notices a
 reflector in its beam. The nests of floor and bars come in an order drawn from the machine's seed,
-then in the same order again.
+then the flange, then those of the slide, then all of them in the same order again.
 """
 
 from __future__ import annotations
@@ -18,11 +18,14 @@ from fakes.time import CellTime
 class Person:
     """Carries one beam at a time."""
 
-    TAKES_S = (2.0, 6.0)  # to the next nest
+    TAKES_S = (2.0, 6.0)  # to the next reflector
 
-    def __init__(self, nests: Sequence[str], rng: np.random.Generator, time: CellTime) -> None:
+    def __init__(
+        self, groups: Sequence[Sequence[str]], rng: np.random.Generator, time: CellTime
+    ) -> None:
         self._rng, self._time = rng, time
-        self._nests = cycle(rng.permutation(np.array(nests, dtype=object)).tolist())
+        ordered = [rng.permutation(np.array(group, dtype=object)).tolist() for group in groups]
+        self._nests = cycle([nest for group in ordered for nest in group])
         self._arrives_s: float | None = None
 
     def take_beam(self) -> None:

@@ -6,7 +6,7 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Queue
 
 from hilcell.commands.console import print_message, print_table
 from hilcell.commands.run_output import ProgressOutput, print_end
@@ -25,12 +25,13 @@ from hilcell.run.engine import NewEngine
 from hilcell.run.order import Order
 
 ANSWER_S = 0.2
+MOST_LINES = 1000  # typed ahead
 
 
 def commission(args: Commission) -> int:
     if args.list:
         return _list(args.cell)
-    lines: SimpleQueue[str | None] = SimpleQueue()
+    lines: Queue[str | None] = Queue(MOST_LINES)
     threading.Thread(target=_read, args=(lines,), name="keyboard", daemon=True).start()
     dialogue = Dialogue(lines, print_message)
     work = Commissioning(
@@ -62,7 +63,7 @@ def _list(path: Path) -> int:
     return EXIT_OK
 
 
-def _read(lines: SimpleQueue[str | None]) -> None:
+def _read(lines: Queue[str | None]) -> None:
     for line in sys.stdin:
         lines.put(line)
     lines.put(None)
@@ -115,8 +116,8 @@ def _run(procedure: str, args: Commission, dialogue: Dialogue) -> tuple[str, Log
         code, fault, _ = engine.run(output)
         log: Log = engine.journal.log
         output.close(code, log, fault)
-        print_end(plan.folder, log, plan.procedure, output, fault)
         if fault is not None:
+            print_end(plan.folder, log, plan.procedure, output, fault)
             raise HilcellError(
                 f"step of {procedure} ended early (exit {code}); mend the cause, then the same "
                 "command goes on here",

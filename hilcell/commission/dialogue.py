@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from queue import Empty, SimpleQueue
+from queue import Empty, Queue
 from typing import TypeVar
 
 from hilcell.errors import HilcellError
@@ -18,9 +18,10 @@ class Dialogue:
     ``questions`` counts what was asked; ``real``: motions need the whole word "yes".
     """
 
-    def __init__(self, lines: SimpleQueue[str | None], say: Callable[[str], object]) -> None:
+    def __init__(self, lines: Queue[str | None], say: Callable[[str], object]) -> None:
         self._lines, self.say = lines, say
         self.questions = 0
+        self._over = False  # the input has ended
         self.real = True
 
     def ask(self, question: str, parse: Callable[[str], T], default: str = "") -> T:
@@ -59,18 +60,19 @@ class Dialogue:
 
     def waiting_line(self, limit_s: float) -> str | None:
         """Return a typed line, None if none comes in time or input has ended."""
+        if self._over:
+            return None
         try:
             line = self._lines.get(timeout=limit_s)
         except Empty:
             return None
-        if line is None:
-            self._lines.put(None)
+        self._over = line is None
         return line
 
     def _line(self) -> str:
-        line = self._lines.get()
+        line = None if self._over else self._lines.get()
         if line is None:
-            self._lines.put(None)
+            self._over = True
             raise HilcellError(
                 "the input has ended; what was proved is kept, and the same command goes on there",
                 code="HC-C40",
