@@ -33,34 +33,35 @@ class Jog(NamedTuple):
         return 1.2 * self.distance_mm + 3.0
 
 
+# All but the first in one direction: no backlash is between them.
 JOGS = (
+    Jog("0.5 mm", 0.5, 0.5),
+    Jog("0.5 mm more", 0.5, 0.5),
     Jog("5 mm", 5.0, 2.0),
-    Jog("5 mm back", 5.0, 2.0, -1),
     Jog("20 mm", 20.0, 5.0),
-    Jog("20 mm back", 20.0, 5.0, -1),
     Jog("100 mm", 100.0, 20.0),
-    Jog("100 mm back", 100.0, 20.0, -1),
     Jog("500 mm", 500.0, 50.0),
-    Jog("500 mm back", 500.0, 50.0, -1),
 )
-STOP = Jog("stop", 500.0, 50.0)
+STOP = Jog("stop", 500.0, 50.0, -1)
+BACK = Jog("20 mm on", 20.0, 5.0)  # the other way than the jog before it
 STOP_AFTER_MM = 100.0
 SCALE_SHARE = 2e-3  # that drive and strip may differ in scale
+LANDING_MM = 0.06  # by which drive and strip end a jog apart
 SPEED_SHARE = 0.1  # that the drive's own speed may differ from its positions
 
 
 class RailJogs(Step):
-    """Jogs of 5 to 500 mm: sign, scale, backlash, speed unit, stop."""
+    """Jogs of 0.5 to 500 mm: sign, scale, speed unit, stop, backlash."""
 
     name = "rail-jogs"
     needs = "a robot parked clear of the slide, a slide free for 500 mm towards the middle"
-    moves = "the slide by 5, 20, 100 and 500 mm towards the middle of its travel, and back"
+    moves = "the slide by 0.5, 5, 20, 100 and 500 mm towards the middle of its travel, and back"
     measures = "drive, strip, and the drive's own speed"
     yields = "signs, scales, speed unit, backlash and the stop of the rail"
 
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         seconds = sum(
-            jog.distance_mm / jog.speed_mm_s + rail_move_s(cell, 0.0) for jog in (*JOGS, STOP)
+            jog.distance_mm / jog.speed_mm_s + rail_move_s(cell, 0.0) for jog in (*JOGS, STOP, BACK)
         )
         return PlannedStep.of_spans(self.name, 0, [Span("jogs", 0, seconds)])
 
@@ -69,14 +70,13 @@ class RailJogs(Step):
         rail, cell = session.devices.rail.read(), session.cell.rail
         room_mm = cell.travel_max_mm - cell.travel_min_mm
         towards = 1 if rail.strip_mm < (cell.travel_min_mm + cell.travel_max_mm) / 2 else -1
-        for jog in JOGS:
-            if jog.distance_mm > room_mm / 2:
-                break
-            jogged = self._jog(session, jog, towards)
-            if not self._judged(session, jog, jogged):
+        first, *jogs = [jog for jog in JOGS if jog.distance_mm <= room_mm / 3]
+        self._jog(session, first, towards)
+        for jog in jogs:
+            if not self._judged(session, jog, self._jog(session, jog, towards)):
                 return
-        self._judge_backlash(session)
         jogged = self._jog(session, STOP, towards, stop_after_mm=min(STOP_AFTER_MM, room_mm / 8))
+        self._judge_backlash(session, self._jog(session, BACK, towards))
         stop = stop_figures(jogged)
         limit_mm = stop.expected_mm(cell.acceleration_mm_s2)
         prove(
@@ -109,8 +109,8 @@ class RailJogs(Step):
 
     @staticmethod
     def _judged_scale(session: CellSession, jog: Jog, figures: JogFigures) -> bool:
-        """Judge sign and scale; a short jog leaves the backlash open."""
-        limit = SCALE_SHARE + session.cell.rail.max_backlash_mm / jog.distance_mm
+        """Judge sign and scale, a short jog's less closely."""
+        limit = SCALE_SHARE + LANDING_MM / jog.distance_mm
         holds = figures.stopped_by == "" and abs(figures.scale - 1.0) <= limit
         values = {}
         if not holds and abs(figures.scale) > 0.02:
@@ -144,9 +144,7 @@ class RailJogs(Step):
         )
 
     @staticmethod
-    def _judge_backlash(session: CellSession) -> None:
-        jogs = {each.key: each for each in session.log.happened(SlideJogged)}
-        back = jogs.get("100 mm back") or jogs["20 mm back"]
+    def _judge_backlash(session: CellSession, back: SlideJogged) -> None:
         lost_mm = abs(back.driven_mm) - abs(back.moved_mm)
         limit_mm = session.cell.rail.max_backlash_mm
         prove(

@@ -22,7 +22,7 @@ from hilcell.errors import HilcellError
 from hilcell.journal.log import Log
 from hilcell.model.verdicts import Proved
 
-REPEATS = 4  # of a step whose values are written and proved again
+REPEATS = 6  # of a step whose values are written and proved again
 
 
 class Step(NamedTuple):
@@ -46,8 +46,8 @@ STEPS = (
     Step(
         "rail",
         "signs, scales, speed and stop of the rail, small first",
-        "the slide by 5, 20, 100 and 500 mm towards the middle of its travel, and back, the first "
-        "at 2 mm/s; a quick stop at 1.2 times each distance plus 3 mm",
+        "the slide by 0.5, 5, 20, 100 and 500 mm towards the middle of its travel, and back, the "
+        "first at 0.5 mm/s; a quick stop at 1.2 times each distance plus 3 mm",
         "commission-rail",
     ),
     Step(
