@@ -164,13 +164,16 @@ def pose_values(T: Array) -> dict[str, float]:
 # -- rail and base, by the reflector on the flange -------------------------------------------------
 
 RAIL_MM = (20.0, 100.0, 300.0)  # motions of the slide with the parked robot, each from the start
-RIDE_SHARE = 1e-3  # that the strip's scale may differ from the tracker's
+RIDE_SHARE = (
+    5e-3  # of the distance: the slide tilts by some 0.1 mrad, and the flange is high above it
+)
 DIRECTION_MM = 1.0
 AXIS_DEG = (1.0, 8.0)
 MORE_POSES, MORE_DEG = 10, 15.0
 BASE_PERCENT = 5.0
 FIT_MM = 3.0  # of a robot with nominal kinematics, rms
-TOOL_MM = 3.0
+ARM_U_MM = 2.0  # by which a real arm's zeros and lengths shift the base of a nominal one
+TOOL_MM = 3.0  # likewise, the reflector on the flange
 
 
 class FindBase(_Proving):
@@ -353,7 +356,8 @@ class FindBase(_Proving):
             return
         T_W_B = T_W_L @ fit.T_L_B
         T_W_B[:3, 3] -= strip_mm * along
-        u_mm = float(np.sqrt(np.linalg.eigvalsh(fit.covariance[:3, :3])[-1]))
+        u_fit_mm = float(np.sqrt(np.linalg.eigvalsh(fit.covariance[:3, :3])[-1]))
+        u_mm = float(np.hypot(u_fit_mm, ARM_U_MM))
         pose = pose_values(T_W_B)
         prove(
             session,

@@ -64,13 +64,14 @@ def write_places(text: CellText, slide_nests: int) -> None:
     ]
     middle_mm = _middle_of_travel(text)
     for key, value in (
+        ("tracker.find_radius_mm", 50.0),
         ("tracker.pose", {"x_mm": 4000.0, "y_mm": 0.0, "z_mm": 1500.0, "a_deg": 180.0}),
         ("layout.base", {"x_mm": 0.0, "y_mm": 0.0, "z_mm": 300.0}),
         ("layout.rail_direction", [0.0, 1.0, 0.0]),
         ("layout.slide", nests),
         ("station", [{"name": "S1", "rail_mm": middle_mm, "strip_mm": middle_mm}]),
     ):
-        write_new(text, key, value, ASSUMED)
+        write_new(text, key, value, "" if key == "tracker.find_radius_mm" else ASSUMED)
 
 
 def write_new(text: CellText, path: str, value: object, comment: str = "") -> None:

@@ -108,6 +108,7 @@ class Commissioning:
         return True
 
     def _perform(self, step: Step) -> bool:
+        self._agree(step)
         for _ in range(REPEATS):
             record = self._once(step)
             text = CellText.read(self.path)
@@ -136,15 +137,19 @@ class Commissioning:
         )
         return False
 
+    def _agree(self, step: Step) -> None:
+        """Ask before anything moves; raises `HilcellError` without agreement."""
+        if step.moves.partition(";")[0] == "nothing":
+            return
+        self.dialogue.real = load_cell(str(self.path)).simulation is None
+        question = f"this step moves {step.moves}; is the cell clear, and somebody at the E-stop?"
+        if not self.dialogue.agree(question):
+            raise HilcellError(f"step {step.name} was not agreed to; nothing moved", code="HC-C40")
+
     def _once(self, step: Step) -> StepRecord:
         """Perform a step once."""
         if not step.procedure:
             return self._record(step, self._without_run(step))
-        cell = load_cell(str(self.path))
-        self.dialogue.real = cell.simulation is None
-        question = f"this step moves {step.moves}; is the cell clear, and somebody at the E-stop?"
-        if step.moves.partition(";")[0] != "nothing" and not self.dialogue.agree(question):
-            raise HilcellError(f"step {step.name} was not agreed to; nothing moved", code="HC-C40")
         run, log = self.run(step.procedure)
         checks = [
             Check(

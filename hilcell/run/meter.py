@@ -297,7 +297,16 @@ class Meter(Mover):
             return known
         self.checkpoint()
         tracker = searching_tracker(self.devices.tracker)
-        reading = tracker.search(near_mm, self.cell.tracker.reflector, samples, radius_mm)
+        reflector = self.cell.tracker.reflector
+        for tries in range(1, self.TRIES + 1):
+            try:
+                reading = tracker.search(near_mm, reflector, samples, radius_mm)
+            except NoReading as error:
+                if tries == self.TRIES:
+                    raise
+                self.add(NoReadingOf(key=key, tries=tries, reason=str(error), error=error.facts()))
+            else:
+                break
         return self._record_place(key, reading)
 
     def _seen(self, key: str) -> PlaceSeen | None:
