@@ -231,7 +231,8 @@ class StopRobot(Step):
                 session.clock.wait(self.SWEEP_DEG / self.SPEED_DEG_S / 2.0)
                 at_stop_rad = float(sweep.collect().joints_rad[0])
                 robot.stop()
-                sweep.complete()
+                while not sweep.ended:
+                    sweep.collect()  # raises once the controller shows the stop
         except DeviceError:
             if np.isnan(at_stop_rad):
                 raise

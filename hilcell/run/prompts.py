@@ -83,8 +83,8 @@ class Prompt(msgspec.Struct, frozen=True, kw_only=True):
         """Return the prompt to put the beam on a place; it goes on by itself."""
         return cls(
             title=f"Put the beam on {place}",
-            text="The run goes on by itself once the tracker measures the reflector there. Slide and "
-            "robot are at rest.",
+            text="The run goes on by itself once the tracker measures the reflector there. Slide "
+            "and robot are at rest.",
             place=place,
             expected_mm=None,
             limit_mm=1.0,
