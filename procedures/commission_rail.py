@@ -44,6 +44,7 @@ JOGS = (
 )
 STOP = Jog("stop", 500.0, 50.0, -1)
 BACK = Jog("20 mm on", 20.0, 5.0)  # the other way than the jog before it
+RETURN, RETURN_MM = "return", 10.0  # a slide that is nearer stays
 STOP_AFTER_MM = 100.0
 SCALE_SHARE = 2e-3  # that drive and strip may differ in scale
 LANDING_MM = 0.06  # by which drive and strip end a jog apart
@@ -74,9 +75,11 @@ class RailJogs(Step):
         self._jog(session, first, towards)
         for jog in jogs:
             if not self._judged(session, jog, self._jog(session, jog, towards)):
+                self._return(session)
                 return
         jogged = self._jog(session, STOP, towards, stop_after_mm=min(STOP_AFTER_MM, room_mm / 8))
         self._judge_backlash(session, self._jog(session, BACK, towards))
+        self._return(session)
         stop = stop_figures(jogged)
         limit_mm = stop.expected_mm(cell.acceleration_mm_s2)
         prove(
@@ -87,6 +90,16 @@ class RailJogs(Step):
             f"{stop.speed_mm_s:.0f} mm/s to rest",
             expected=f"<= {limit_mm:.1f} mm",
         )
+
+    @staticmethod
+    def _return(session: CellSession) -> None:
+        """Return the slide to where it stood, by the drive's own counting."""
+        jogs = session.log.happened(SlideJogged)
+        back_mm = -sum(each.driven_mm for each in jogs if each.key != RETURN)
+        if abs(back_mm) > RETURN_MM:
+            session.jog_rail(
+                RETURN, back_mm, bound_mm=1.2 * abs(back_mm) + 3.0, speed_mm_s=BACK.speed_mm_s
+            )
 
     @staticmethod
     def _jog(
@@ -114,7 +127,7 @@ class RailJogs(Step):
         holds = figures.stopped_by == "" and abs(figures.scale - 1.0) <= limit
         values = {}
         if not holds and abs(figures.scale) > 0.02:
-            options = jogging_rail(session.devices.rail).rescaled(figures.simple_scale, 1.0, 1.0)
+            options = jogging_rail(session.devices.rail).rescaled(figures.simple_scale, 1.0, abs(figures.simple_scale))
             values = {f"rail.options.{key}": value for key, value in options.items()}
         return prove(
             session,
@@ -159,6 +172,9 @@ class RailJogs(Step):
         return proved_result(log)
 
 
+STATIONS = (0.0, -0.6, 0.6)  # of a draft, as shares of the room each way
+
+
 class RailReference(Step):
     """References the drive: drive and absolute strip must then agree."""
 
@@ -180,7 +196,29 @@ class RailReference(Step):
                 "which may be the end of its travel; clear the rail and stay at the E-stop"
             )
             session.home_rail()
-        rail = session.devices.rail.read()
+        rail, table = session.devices.rail.read(), session.cell.rail
+        room_mm = (table.travel_max_mm - table.travel_min_mm) / 2.0
+        low_mm, high_mm = (round(rail.strip_mm + end * room_mm, 1) for end in (-1.0, 1.0))
+        places = [round(rail.strip_mm + share * room_mm, 1) for share in STATIONS]
+        placed = {
+            "rail.travel_min_mm": low_mm,
+            "rail.travel_max_mm": high_mm,
+            "survey.from_mm": places[0],
+            "survey.to_mm": places[0] + 300.0,
+            "station": [
+                {"name": f"S{n}", "rail_mm": at_mm, "strip_mm": at_mm}
+                for n, at_mm in enumerate(places, start=1)
+            ],
+        }
+        inside = table.travel_min_mm <= rail.strip_mm <= table.travel_max_mm
+        prove(
+            session,
+            "travel",
+            holds=inside,
+            found=f"the slide stands at {rail.strip_mm:.2f} mm by the strip",
+            expected=f"{table.travel_min_mm:g} .. {table.travel_max_mm:g} mm",
+            values={} if inside else placed,
+        )
         off_mm = rail.position_mm - rail.strip_mm
         prove(
             session,

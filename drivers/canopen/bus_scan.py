@@ -34,7 +34,7 @@ ARPHRD_CAN = "280"  # of the kernel
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A node that answers."""
+    """A node that answers; ``step_nm`` of an encoder's count, 0 where it does not state it."""
 
     node: int
     profile: int
@@ -42,6 +42,7 @@ class Found:
     product: int
     serial: int
     name: str
+    step_nm: int = 0
 
     @property
     def title(self) -> str:
@@ -50,7 +51,10 @@ class Found:
         return f"node {self.node}: {kind} {self.name or 'without a name'}, serial {self.serial}"
 
     def options(self, role: str) -> dict[str, object]:
-        return {
+        scale: dict[str, object] = (
+            {f"{role}_counts_per_mm": 1e6 / self.step_nm} if self.step_nm > 0 else {}
+        )
+        return scale | {
             f"{role}_node": self.node,
             f"{role}_vendor": self.vendor,
             f"{role}_product": self.product,
@@ -144,10 +148,13 @@ def _nodes(interface: str, channel: str, bitrate: int) -> list[Found]:
 
 
 def _found(link: CanLink, node: int, profile: int) -> Found:
-    sdo = open_channel(link, node, "drive.eds", lambda: None)
+    eds = "strip.eds" if profile == cia.ENCODER_PROFILE else "drive.eds"
+    sdo = open_channel(link, node, eds, lambda: None)
     vendor, product, serial = (sdo.read_if_present(Object.IDENTITY, sub) or 0 for sub in (1, 2, 4))
     try:
         name = clean(sdo.read_bytes(Object.DEVICE_NAME).decode("ascii", errors="replace"))
     except (Aborted, DeviceError):
         name = ""
-    return Found(node, profile, vendor, product, serial, name)
+    encoder = profile == cia.ENCODER_PROFILE
+    step_nm = (sdo.read_if_present(Object.POSITION_STEP) or 0) if encoder else 0
+    return Found(node, profile, vendor, product, serial, name, step_nm)

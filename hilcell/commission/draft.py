@@ -15,6 +15,9 @@ from hilcell.decoding import Json
 
 ASSUMED = "assumed; a later step measures it"
 SLIDE_RADIUS_MM = 400.0
+UNPLACED_MM = 1e5
+SURVEY_MM = 300.0
+MARGIN_MM = 30.0  # of a measure by tape
 
 
 def known_robots() -> dict[str, Cell]:
@@ -48,6 +51,17 @@ def write_robot(text: CellText, robot: str) -> None:
         ("base_frame.points", cell.base_frame.points, ""),
     ):
         write_new(text, key, value, comment)
+
+
+def write_travel(text: CellText, room_mm: float) -> None:
+    """Write a travel of ``room_mm`` in both directions, at a place that no strip reads: the rail's
+    step moves it to where the slide stands.
+    """
+    unplaced = f"{room_mm:g} mm each way; a later step places it"
+    text.set("rail.travel_min_mm", UNPLACED_MM - room_mm + MARGIN_MM, unplaced)
+    text.set("rail.travel_max_mm", UNPLACED_MM + room_mm - MARGIN_MM, unplaced)
+    text.set("survey.from_mm", UNPLACED_MM)
+    text.set("survey.to_mm", UNPLACED_MM + SURVEY_MM)
 
 
 def write_places(text: CellText, slide_nests: int) -> None:

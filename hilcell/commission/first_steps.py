@@ -5,11 +5,13 @@ Devices are found by their drivers (`hilcell.ports.Discovers`), which listen and
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from threading import Event
 
 import msgspec
+import numpy as np
 
 from hilcell import ports
 from hilcell.cell.devices import GROUPS, driver_options, installed, load_entry, start_simulation
@@ -19,7 +21,13 @@ from hilcell.cell.settings import SettingsError, convert, read_text
 from hilcell.clock import WallClock
 from hilcell.commission.cell_text import CellText
 from hilcell.commission.dialogue import Dialogue, number, word
-from hilcell.commission.draft import known_robots, write_new, write_places, write_robot
+from hilcell.commission.draft import (
+    known_robots,
+    write_new,
+    write_places,
+    write_robot,
+    write_travel,
+)
 from hilcell.commission.record import Check
 from hilcell.decoding import Json
 from hilcell.errors import HilcellError
@@ -47,7 +55,7 @@ class WhichDevices:
         self._rail()
         self._nests()
         self._text.write(self._path)
-        load_cell(str(self._path))
+        self._controller(load_cell(str(self._path)), addresses)
         return checks
 
     def _simulated(self) -> Addresses:
@@ -121,6 +129,26 @@ class WhichDevices:
         chosen = candidates[int(taken) - 1]
         return options | chosen.options, chosen.title
 
+    def _controller(self, cell: Cell, addresses: Addresses) -> None:
+        """Write the tool and the joint limits that the robot's controller states."""
+        kind, options = driver_options(cell, "robot", addresses.get("robot", {}))
+        robot = kind(options, WallClock(Event()))
+        if not isinstance(robot, ports.StatesSettings):
+            return
+        settings, comment = robot.settings(), "as the controller has it"
+        if settings.tool is not None:
+            smr_mm = [round(float(value), 3) for value in settings.tool[:3, 3]]
+            self._text.set("robot.smr_mm", smr_mm, comment)
+        if settings.joint_limits_rad is not None:
+            for axis, (low, high) in enumerate(np.degrees(settings.joint_limits_rad)):
+                joint = cell.robot.joint[axis]
+                if low > joint.min_deg:
+                    self._text.set(f"robot.joint.{axis}.min_deg", round(float(low), 3), comment)
+                if high < joint.max_deg:
+                    self._text.set(f"robot.joint.{axis}.max_deg", round(float(high), 3), comment)
+        self._text.write(self._path)
+        load_cell(str(self._path))
+
     def _robot(self, found: Check) -> None:
         known = known_robots()
         if self._text.get("robot.joint") is not None:
@@ -136,12 +164,19 @@ class WhichDevices:
     def _rail(self) -> None:
         if self._text.get("rail.driver") == NO_RAIL:
             return
-        limits = number(-DRAWING_MM, DRAWING_MM, "mm")
-        for key, question in (
-            ("travel_min_mm", "rail: lower end of the travel, mm by the strip"),
-            ("travel_max_mm", "rail: upper end of the travel, mm by the strip"),
-        ):
-            self._once(f"rail.{key}", question, limits)
+        if self._text.get("rail.travel_min_mm") is None:
+            room_mm = self._dialogue.ask(
+                "rail: distance by tape from the slide to the nearer end of its travel, mm",
+                number(100.0, DRAWING_MM, "mm"),
+            )
+            write_travel(self._text, room_mm)
+        if self._text.get("rail.driver") == "canopen":
+            self._once(
+                "rail.options.homing",
+                "rail: homing method of the drive; 35 or 37: the slide stays where it is",
+                lambda text: int(number(1, 37, "")(text)),
+                "35",
+            )
         self._once("rail.speed_mm_s", "rail: speed, mm/s", number(1.0, 1e4, "mm/s"), "250")
         self._once(
             "rail.acceleration_mm_s2", "rail: acceleration, mm/s2", number(1.0, 1e5, "mm/s2"),
@@ -215,7 +250,9 @@ def what_devices_can(cell: Cell) -> list[tuple[str, list[ports.Ability]]]:
 
 
 def summary_of(kind: type) -> str:
-    return (kind.__doc__ or "").strip().partition("\n")[0].rstrip(".")
+    """Return the first line of the driver's module: what it connects."""
+    text = sys.modules[kind.__module__].__doc__ or kind.__doc__ or ""
+    return text.strip().partition("\n")[0].rstrip(".")
 
 
 def alike(name: str, title: str) -> bool:
