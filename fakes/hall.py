@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 
 from fakes.traps import coupled, with_sizes
+from fakes.truth.machine import cell_machine
 from fakes.truth.noise import KeyedNoise
 from fakes.truth.transforms import Array, rotation
 from hilcell.cell.file import Cell
@@ -44,6 +45,7 @@ class Sheet(msgspec.Struct, frozen=True, kw_only=True):
     length: list[dict[str, object]]
     slide: list[str]  # nests whose places are unknown
     travel_mm: float  # by tape, within 5
+    room_mm: float  # likewise: from the slide to the nearer end
     speed_mm_s: float
     acceleration_mm_s2: float
     clear: ClearZones
@@ -87,6 +89,7 @@ class Sheet(msgspec.Struct, frozen=True, kw_only=True):
                 *bars,
                 f"Nests on the slide, places unknown: {', '.join(self.slide)}",
                 f"Rail: travel {self.travel_mm:.0f} by tape, within 5",
+                f"  the slide stands {self.room_mm:.0f} from the nearer end",
                 f"Slide: at most {self.speed_mm_s:g} mm/s and {self.acceleration_mm_s2:g} mm/s^2",
                 f"Clear along the whole travel: {zone.around_axis_1_mm:g} around axis 1",
                 f"  from {low_mm:g} to {high_mm:g} above the plate",
@@ -211,6 +214,7 @@ def sheet_of(
     """Return what a person knows of a drawn cell, before any trap is set in it."""
     tape_mm = 5.0
     off_mm = KeyedNoise(seed, "hall").generator("tape").uniform(-tape_mm, tape_mm)
+    stands_mm = cell_machine(cell).rail.power_on_mm or 0.0
     tables = {"rail": cell.rail, "robot": cell.robot, "tracker": cell.tracker}
     return Sheet(
         drivers={table: each.driver for table, each in tables.items()},
@@ -223,6 +227,7 @@ def sheet_of(
         length=[msgspec.to_builtins(each) for each in cell.layout.length],
         slide=[nest.name for nest in cell.layout.slide],
         travel_mm=float(round(cell.rail.travel_max_mm + off_mm)),
+        room_mm=float(round(min(stands_mm, cell.rail.travel_max_mm - stands_mm) + off_mm)),
         speed_mm_s=cell.rail.speed_mm_s,
         acceleration_mm_s2=cell.rail.acceleration_mm_s2,
         clear=ClearZones(

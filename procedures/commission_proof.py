@@ -192,6 +192,7 @@ class StopRobot(Step):
 
     SWEEP_DEG, SPEED_DEG_S = 5.0, 1.0
     STOPPED_DEG = 0.5  # at most, after the stop
+    POLL_S = 0.005
 
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         return PlannedStep(self.name, 0, self.SWEEP_DEG / self.SPEED_DEG_S)
@@ -211,13 +212,14 @@ class StopRobot(Step):
             at_stop_rad, at_rest_rad = self._stopped(session, float(end_rad[0]))
         after_deg = abs(float(np.degrees(at_rest_rad - at_stop_rad)))
         short_deg = abs(float(np.degrees(end_rad[0] - at_rest_rad)))
+        holds = after_deg <= self.STOPPED_DEG and short_deg >= self.STOPPED_DEG
         prove(
             session,
             "robot stop",
-            holds=after_deg <= self.STOPPED_DEG and short_deg >= self.STOPPED_DEG,
+            holds=holds,
             found=f"at rest {after_deg:.3f} deg after the stop, {short_deg:.2f} deg before the end",
             expected=f"<= {self.STOPPED_DEG:g} deg after the stop",
-            values={"robot.speed_percent": 30.0},
+            values={"robot.speed_percent": 30.0} if holds else {},
         )
 
     def _stopped(self, session: CellSession, end_rad: float) -> tuple[float, float]:
@@ -229,9 +231,11 @@ class StopRobot(Step):
             with sweeping_robot(robot).sweep(0, end_rad, speed_rad_s) as sweep:
                 sweep.kickoff()
                 session.clock.wait(self.SWEEP_DEG / self.SPEED_DEG_S / 2.0)
+                session.clock.wait(self.POLL_S)
                 at_stop_rad = float(sweep.collect().joints_rad[0])
                 robot.stop()
                 while not sweep.ended:
+                    session.clock.wait(self.POLL_S)
                     sweep.collect()  # raises once the controller shows the stop
         except DeviceError:
             if np.isnan(at_stop_rad):

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from hilcell.cell.devices import jogging_rail
 from hilcell.cell.file import Cell
-from hilcell.identification.rail_motion import JogFigures, jog_figures, stop_figures
+from hilcell.identification.rail_motion import GROSS, JogFigures, jog_figures, stop_figures
 from hilcell.journal.log import Log
 from hilcell.model.events import SlideJogged
 from hilcell.model.plan import PlannedStep, Span
@@ -48,7 +48,25 @@ RETURN, RETURN_MM = "return", 10.0  # a slide that is nearer stays
 STOP_AFTER_MM = 100.0
 SCALE_SHARE = 2e-3  # that drive and strip may differ in scale
 LANDING_MM = 0.06  # by which drive and strip end a jog apart
-SPEED_SHARE = 0.1  # that the drive's own speed may differ from its positions
+UNIT_SHARE = 0.15  # within which a short jog's scale is a simple factor
+NOTHING = 0.02  # a scale below is no motion
+LEAST_FOR_SPEED_MM = 5.0  # a shorter jog is over within a few polls
+
+
+def _rescaled(session: CellSession, scale: float) -> dict[str, object]:
+    """Return the values of the cell file with another scale of the drive; its speeds follow."""
+    rail = jogging_rail(session.devices.rail)
+    return _options(session, rail.rescaled(scale, 1.0, abs(scale)))
+
+
+def _options(session: CellSession, options: dict[str, object]) -> dict[str, object]:
+    """Return the options that differ from the cell file's, by path."""
+    stated = session.cell.rail.options
+    return {
+        f"rail.options.{key}": value
+        for key, value in options.items()
+        if value != stated.get(key) and (value or key in stated)
+    }
 
 
 class RailJogs(Step):
@@ -74,9 +92,11 @@ class RailJogs(Step):
         first, *jogs = [jog for jog in JOGS if jog.distance_mm <= room_mm / 3]
         self._jog(session, first, towards)
         for jog in jogs:
-            if not self._judged(session, jog, self._jog(session, jog, towards)):
+            figures = jog_figures(self._jog(session, jog, towards))
+            if not self._not_gross(session, jog, figures):
                 self._return(session)
                 return
+        self._judge_scale(session, jogs[-1], figures)
         jogged = self._jog(session, STOP, towards, stop_after_mm=min(STOP_AFTER_MM, room_mm / 8))
         self._judge_backlash(session, self._jog(session, BACK, towards))
         self._return(session)
@@ -113,47 +133,49 @@ class RailJogs(Step):
             stop_after_mm=stop_after_mm,
         )
 
-    def _judged(self, session: CellSession, jog: Jog, jogged: SlideJogged) -> bool:
-        """Judge one jog; return whether the next may follow."""
-        figures = jog_figures(jogged)
-        return self._judged_scale(session, jog, figures) and self._judged_speed(
-            session, jog, figures
-        )
-
     @staticmethod
-    def _judged_scale(session: CellSession, jog: Jog, figures: JogFigures) -> bool:
-        """Judge sign and scale, a short jog's less closely."""
-        limit = SCALE_SHARE + LANDING_MM / jog.distance_mm
-        holds = figures.stopped_by == "" and abs(figures.scale - 1.0) <= limit
-        values = {}
-        if not holds and abs(figures.scale) > 0.02:
-            options = jogging_rail(session.devices.rail).rescaled(figures.simple_scale, 1.0, abs(figures.simple_scale))
-            values = {f"rail.options.{key}": value for key, value in options.items()}
-        return prove(
+    def _not_gross(session: CellSession, jog: Jog, figures: JogFigures) -> bool:
+        """Judge signs and units; return whether the next jog may follow."""
+        scale_ok = prove(
             session,
-            f"scale by {jog.key}",
-            holds=holds,
+            f"sign by {jog.key}",
+            holds=not figures.is_gross and figures.stopped_by == "",
             found=f"drive {figures.driven_mm:+.3f} mm, strip {figures.moved_mm:+.3f} mm: "
-            f"{figures.words(limit)}",
-            expected=f"equal within {100 * limit:.1f} %, and their directions",
-            values=values,
+            f"{figures.words}",
+            expected=f"one direction, within a factor of {GROSS:g}",
+            values=_rescaled(session, figures.simple_scale(UNIT_SHARE))
+            if figures.is_gross and abs(figures.scale) > NOTHING
+            else {},
         )
-
-    @staticmethod
-    def _judged_speed(session: CellSession, jog: Jog, figures: JogFigures) -> bool:
-        holds = abs(figures.speed_share - 1.0) <= SPEED_SHARE
-        values = {}
-        if not holds and figures.speed_share > 0.0:
-            options = jogging_rail(session.devices.rail).rescaled(1.0, 1.0, figures.speed_share)
-            values = {f"rail.options.{key}": value for key, value in options.items()}
+        if not scale_ok or jog.distance_mm < LEAST_FOR_SPEED_MM:
+            return scale_ok
+        share = figures.speed_share
+        holds = 1.0 / GROSS <= share <= GROSS
         return prove(
             session,
             f"speed in {jog.key}",
             holds=holds,
-            found=f"{figures.speed_mm_s:.2f} mm/s by positions, {figures.stated_mm_s:.2f} mm/s by "
-            "the drive itself",
-            expected=f"equal within {100 * SPEED_SHARE:.0f} %",
-            values=values,
+            found=f"{abs(figures.driven_mm):.2f} mm by positions, {figures.by_speed_mm:.3g} mm by "
+            f"the speeds that the drive states: factor {share:.4g}",
+            expected=f"equal within a factor of {GROSS:g}",
+            values=_options(session, jogging_rail(session.devices.rail).rescaled(1.0, 1.0, share))
+            if not holds and share > 0.0
+            else {},
+        )
+
+    @staticmethod
+    def _judge_scale(session: CellSession, jog: Jog, figures: JogFigures) -> None:
+        """Judge the scale by the longest jog."""
+        limit = SCALE_SHARE + LANDING_MM / jog.distance_mm
+        holds = abs(figures.scale - 1.0) <= limit
+        prove(
+            session,
+            "scale",
+            holds=holds,
+            found=f"drive {figures.driven_mm:+.3f} mm, strip {figures.moved_mm:+.3f} mm: "
+            f"{figures.words}",
+            expected=f"equal within {100 * limit:.2f} %",
+            values={} if holds else _rescaled(session, figures.scale),
         )
 
     @staticmethod

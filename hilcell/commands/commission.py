@@ -81,8 +81,9 @@ class _AnsweringOutput(ProgressOutput):
 
     def print_record(self, record: Record) -> None:
         match record.fact:
-            case StateChanged(machine="run", to=to):
-                (self._waits.set if to in WAITING else self._waits.clear)()
+            case StateChanged(machine="run", to=to, prompt=prompt):
+                alone = prompt is not None and prompt.get("by_itself", False)
+                (self._waits.set if to in WAITING and not alone else self._waits.clear)()
         super().print_record(record)
 
     def close(self, code: int, log: Log, fault: Exception | None) -> None:
@@ -98,6 +99,7 @@ class _AnsweringOutput(ProgressOutput):
             if self._dialogue.waiting_line(ANSWER_S) is None:
                 self._ended.wait(ANSWER_S)
                 continue
+            self._waits.clear()
             try:
                 order(self._run, "proceed")
             except HilcellError as error:

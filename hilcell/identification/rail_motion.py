@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 SIMPLE_FACTORS = (0.001, 0.01, 0.1, 0.5, 1.0, 2.0, 10.0, 100.0, 1000.0)
-SIMPLE_SHARE = 0.02  # a scale this near to a simple factor is that factor
+GROSS = 1.4  # a scale beyond this factor is wrong, whatever the readings' noise
 
 
 class Trace(Protocol):
@@ -27,14 +27,11 @@ class Trace(Protocol):
 
 
 class JogFigures(NamedTuple):
-    """Displacements of drive and strip; the fastest speed by the drive's positions and as the drive
-    itself states it.
-    """
+    """Displacements of drive and strip, and that of the drive by the speeds that it states."""
 
     driven_mm: float
     moved_mm: float
-    speed_mm_s: float
-    stated_mm_s: float
+    by_speed_mm: float
     stopped_by: str
 
     @property
@@ -43,42 +40,40 @@ class JogFigures(NamedTuple):
         return self.moved_mm / self.driven_mm if abs(self.driven_mm) > 1e-6 else 0.0
 
     @property
-    def simple_scale(self) -> float:
-        """The scale, or the simple factor that it is near to."""
-        sign = 1.0 if self.scale > 0 else -1.0
-        near = min(SIMPLE_FACTORS, key=lambda each: abs(np.log(abs(self.scale) / each)))
-        return sign * (
-            near if abs(abs(self.scale) / near - 1.0) <= SIMPLE_SHARE else abs(self.scale)
-        )
+    def is_gross(self) -> bool:
+        """Whether sign or scale is wrong beyond what a short jog leaves open; NaN is."""
+        return not 1.0 / GROSS <= self.scale <= GROSS
+
+    def simple_scale(self, share: float) -> float:
+        """Return the scale, or the simple factor within a ``share`` of it."""
+        size = abs(self.scale)
+        near = min(SIMPLE_FACTORS, key=lambda each: abs(np.log(size / each)))
+        return float(np.copysign(near if abs(size / near - 1.0) <= share else size, self.scale))
 
     @property
     def speed_share(self) -> float:
-        """The speed by positions a mm/s that the drive states; NaN for a drive that states none."""
-        return self.speed_mm_s / self.stated_mm_s if self.stated_mm_s > 0 else float("nan")
+        """The distance a mm of that by the stated speeds; NaN for a drive that states none."""
+        if not self.by_speed_mm > 1e-9:
+            return float("nan")
+        return abs(self.driven_mm) / self.by_speed_mm
 
-    def words(self, limit: float) -> str:
-        """Return the scale in words."""
+    @property
+    def words(self) -> str:
+        """The scale in words."""
         if not abs(self.scale) > 0.02:
             return "drive and strip do not move together: coupling, or the strip's head"
         if self.scale < 0:
             return f"opposite directions, scale {-self.scale:.4f}"
-        return f"scale {self.scale:.4f}" + ("" if abs(self.scale - 1) <= limit else ", wrong")
+        return f"scale {self.scale:.4f}"
 
 
 def jog_figures(trace: Trace) -> JogFigures:
-    """Return the figures of one jog.
-
-    Speeds are the medians of the fastest fifth of the polls, so that one late poll decides nothing.
-    """
-    t, x = np.asarray(trace.taken_s), np.asarray(trace.drive_mm)
-    speed_mm_s = np.abs(np.gradient(x, t)) if len(t) > 2 else np.zeros(len(t))
-    fastest = speed_mm_s >= 0.9 * np.quantile(speed_mm_s, 0.8)
-    stated = np.abs(np.asarray(trace.velocity_mm_s))
+    """Return the figures of one jog."""
+    t, stated = np.asarray(trace.taken_s), np.abs(np.asarray(trace.velocity_mm_s))
     return JogFigures(
-        float(x[-1] - x[0]),
+        float(trace.drive_mm[-1] - trace.drive_mm[0]),
         float(trace.strip_mm[-1] - trace.strip_mm[0]),
-        float(np.median(speed_mm_s[fastest])),
-        float(np.median(stated[fastest])),
+        float(np.trapezoid(stated, t)),
         trace.stopped_by,
     )
 
