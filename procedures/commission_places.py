@@ -234,7 +234,7 @@ class FindBase(_Proving):
                 raise HilcellError(
                     "the beam was put on no reflector that moves with axis 1; put it on the one on "
                     "the flange, then repeat the step",
-                    code="HC-C41",
+                    code="HC-T64",
                 )
             moved_rad = safe_rad.copy()
             moved_rad[0] += np.radians(WIGGLE_DEG)

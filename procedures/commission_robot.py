@@ -1,4 +1,4 @@
-"""Commissioning of the robot: what its controller states, then each axis by a degree.
+"""Commissioning of the robot: settings of its controller, then each axis by a degree.
 
 The controller's pose at rest, against that of its joints by the cell file, shows coupled axes and a
 wrong tool before anything moves.

@@ -1,4 +1,4 @@
-"""What a step of commissioning proves: verdicts, and the values of the cell file that follow."""
+"""Verdicts of commissioning, and the values of the cell file that follow from them."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ class Dialogue:
         if line is None:
             self._over = True
             raise HilcellError(
-                "the input has ended; what was proved is kept, and the same command goes on there",
+                "the input has ended; the same command goes on with the first unproved step",
                 code="HC-C40",
             )
         return line.strip()

@@ -89,7 +89,7 @@ def write_places(text: CellText, slide_nests: int) -> None:
 
 
 def write_new(text: CellText, path: str, value: object, comment: str = "") -> None:
-    """Write a value unless the file has one: what a person wrote stays."""
+    """Write a value unless the file has one."""
     if value is not None and text.get(path) is None:
         text.set(path, value, comment)
 

@@ -250,7 +250,7 @@ def what_devices_can(cell: Cell) -> list[tuple[str, list[ports.Ability]]]:
 
 
 def summary_of(kind: type) -> str:
-    """Return the first line of the driver's module: what it connects."""
+    """Return the first line of the driver's module."""
     text = sys.modules[kind.__module__].__doc__ or kind.__doc__ or ""
     return text.strip().partition("\n")[0].rstrip(".")
 

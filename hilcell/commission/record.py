@@ -1,4 +1,4 @@
-"""What a cell's commissioning has proved so far, kept beside the cell file.
+"""The record of a cell's commissioning, kept beside the cell file.
 
 A step counts as proved while the cell file still has the values that it proved: an edit opens it
 again.

@@ -90,6 +90,7 @@ KINDS = {
     "targets": Kind("target", "target", "targets"),
     "sweep": Kind("sweep of", "sweep", "sweeps"),
     "validate": Kind("target", "target", "targets"),
+    "commission": Kind("corner of the cube", "corner", "corners of the cube"),
     "sign": Kind("sign check", "sign", "sign check"),
     "iso9283": Kind("ISO 9283 pose", "pose", "ISO 9283 poses"),
     "campaign": Kind("recorded pose", "pose", "recorded poses"),

@@ -29,6 +29,7 @@ from hilcell.model.verdicts import (
     Oriented,
     Parameter,
     PoseTested,
+    Proved,
     Rechecked,
     ReflectorsCompared,
     Revisited,
@@ -103,6 +104,12 @@ REFLECTORS = ReflectorsCompared(
     holds=True, reflectors=[MeasuredReflector("cube", 0.01, 0.02, 0.1)], wrong=[]
 )
 ORIENTED = Oriented(holds=True, before_mean_deg=0.05, mean_deg=0.01, reflectors_moved_mm=0.003)
+PROVED = Proved(
+    holds=False,
+    found="opposite directions",
+    expected="one direction",
+    values={"rail.options.counts_per_mm": -1000.0},
+)
 CONFORMS = DriverConforms(holds=True, driver="lines", broken=[])
 
 # One of each type, with optional fields as well, by its keys.
@@ -115,6 +122,7 @@ VERDICTS: dict[str, Verdict] = {
     "orientation": ORIENTED,
     "fit": replace(FITTED, orientation="as the position"),
     "sign": SIGN,
+    "commissioning.scale": PROVED,
     "recheck": replace(UPDATED, doubt="the tracker may have moved"),
     "touch": TOUCHED,
     "revisits": REVISITED,

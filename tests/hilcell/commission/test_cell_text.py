@@ -1,0 +1,113 @@
+"""The edited cell file, and the record beside it."""
+
+from pathlib import Path
+from queue import Queue
+
+import pytest
+
+from hilcell.cell.settings import SettingsError
+from hilcell.commission.cell_text import CellText
+from hilcell.commission.dialogue import Dialogue, number
+from hilcell.commission.record import Check, Commissioned, StepRecord
+from hilcell.errors import HilcellError
+
+WRITTEN = """\
+# Hall 3, by the window.
+name = "hall"  # as on the door
+
+[rail]
+speed_mm_s = 100.0  # the belt is new
+
+[rail.options]
+drive_node = 5
+"""
+
+
+def test_a_person_s_comments_order_and_values_stay() -> None:
+    text = CellText(WRITTEN)
+    text.set("rail.options.counts_per_mm", -500.0, "by a jog")
+    text.set("rail.speed_mm_s", 100.0, "never written: the value is there")
+    text.set("tracker.pose", {"x_mm": 1.0, "a_deg": 2.0}, "by three nests")
+    text.set("station", [{"name": "S1", "rail_mm": 1.0}, {"name": "S2", "rail_mm": 2.0}])
+    lines = text.text.splitlines()
+    assert lines[: len(WRITTEN.splitlines()) - 1] == WRITTEN.splitlines()[:-1]
+    assert "counts_per_mm = -500.0 # by a jog" in lines
+    assert "pose = {x_mm = 1.0, a_deg = 2.0} # by three nests" in lines
+    assert [line for line in lines if line == "[[station]]"] == ["[[station]]"] * 2
+    assert CellText(text.text).values == text.values
+
+
+def test_one_row_of_an_array_of_tables_is_changed_by_its_number() -> None:
+    text = CellText("[[robot.joint]]\nmin_deg = -90.0  # stop\n\n[[robot.joint]]\nmin_deg = 0.0\n")
+    text.set("robot.joint.1.min_deg", -5.0)
+    assert text.get("robot.joint.1.min_deg") == -5.0
+    assert text.get("robot.joint.0.min_deg") == -90.0
+    assert text.get("robot.joint.2.min_deg") is None
+    assert "# stop" in text.text
+
+
+def test_a_text_that_is_no_toml_is_refused() -> None:
+    with pytest.raises(SettingsError, match="not valid TOML"):
+        CellText("name = ")
+
+
+def step(name: str, value: float, *, holds: bool = True) -> StepRecord:
+    check = Check(
+        what="scale", found="1", expected="1", holds=holds, values={"rail.options.scale": value}
+    )
+    return StepRecord(step=name, ended="", operator="", holds=holds, checks=[check])
+
+
+def test_a_step_is_proved_while_the_file_has_its_values(tmp_path: Path) -> None:
+    cell, text = tmp_path / "hall.toml", CellText(WRITTEN)
+    assert Commissioned.read(cell).status("rail", text) == "open"
+    Commissioned.read(cell).add(step("rail", 2.0, holds=False), cell)
+    assert Commissioned.read(cell).status("rail", text) == "failed"
+    Commissioned.read(cell).add(step("rail", 2.0), cell)
+    text.set("rail.options.scale", 2.0)
+    assert Commissioned.read(cell).status("rail", text) == "proved"
+    text.set("rail.options.scale", 3.0)
+    assert Commissioned.read(cell).status("rail", text) == "changed"
+    Commissioned.read(cell).add(step("base", 3.0), cell)  # proves another value of the same key
+    assert Commissioned.read(cell).status("rail", text) == "proved"
+
+
+def test_a_damaged_record_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "hall.commissioning.json").write_text('{"form": 1, "steps": [')
+    with pytest.raises(SettingsError, match="damaged"):
+        Commissioned.read(tmp_path / "hall.toml")
+
+
+def asked(*lines: str | None) -> tuple[Dialogue, list[str]]:
+    queue: Queue[str | None] = Queue()
+    for line in lines:
+        queue.put(line)
+    said: list[str] = []
+    return Dialogue(queue, said.append), said
+
+
+def test_an_answer_out_of_range_is_asked_for_again() -> None:
+    dialogue, said = asked("nan", "-1", "five", "12.5")
+    assert dialogue.ask("how far?", number(0.0, 100.0, "mm")) == 12.5
+    assert [line for line in said if line.startswith("expected")] == [
+        "expected 0 .. 100 mm, got nan",
+        "expected 0 .. 100 mm, got -1",
+        "expected a number in mm, got 'five'",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("real", "answer", "agreed"),
+    [(True, "yes", True), (True, "y", False), (True, "", False), (False, "y", True)],
+)
+def test_real_devices_move_by_the_whole_word(real: bool, answer: str, agreed: bool) -> None:
+    dialogue, _ = asked(f"{answer}\n")
+    dialogue.real = real
+    assert dialogue.agree("clear?") is agreed
+
+
+def test_the_end_of_input_ends_the_dialogue() -> None:
+    dialogue, _ = asked(None)
+    for _ in range(2):
+        with pytest.raises(HilcellError, match="the input has ended"):
+            dialogue.agree("clear?")

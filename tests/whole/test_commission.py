@@ -1,0 +1,130 @@
+"""From an empty hall to corrected programs, where nobody knows places, signs and units."""
+
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hilcell.cell.file import Cell, load_cell
+from hilcell.commission.record import Commissioned
+from hilcell.commission.steps import STEPS
+from tests.whole.bench import HILCELL, hilcell, sim_command
+
+FREE_PORTS = "rail=0,robot=0,tracker=0,control=0"
+MOST_QUESTIONS = 60
+pytestmark = pytest.mark.process
+
+
+def answers(hall: dict[str, Any], drawing: Path) -> str:
+    """Return the lines that a person types, by the sheet of the hall."""
+    lines = [
+        "HC-7",
+        hall["control"],
+        hall["drivers"]["robot"],
+        hall["drivers"]["rail"],
+        hall["drivers"]["tracker"],
+        hall["reflector"],
+        hall["robot"],
+        f"{hall['room_mm']}",
+        "35",
+        f"{hall['speed_mm_s']}",
+        f"{hall['acceleration_mm_s2']}",
+        f"{drawing}",
+        f"{len(hall['slide'])}",
+        *["y"] * 30,
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def commission(cell: Path, typed: str, *words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*HILCELL, "commission", str(cell), "--runs", str(cell.parent / "runs"), *words],
+        input=typed,
+        capture_output=True,
+        text=True,
+        timeout=280,
+        check=False,
+    )
+
+
+def holes(cell: Cell, path: Path) -> Path:
+    """Write a drawing of holes: a row in the cube at the first station, in {W}."""
+    grid, station = cell.grid.centre.matrix(), cell.reference
+    T = cell.layout.nominal_base(station.strip_mm) @ grid
+    rows = ["name,x_mm,y_mm,z_mm,nx,ny,nz"]
+    for n, x_mm in enumerate((-100.0, 0.0, 100.0), start=1):
+        at = T @ np.array([x_mm, 0.0, 0.0, 1.0])
+        normal = -T[:3, 2]
+        values = [*at[:3], *normal]
+        rows.append(f"H{n}," + ",".join(f"{value:.4f}" for value in values))
+    path.write_text("\n".join([*rows, ""]))
+    return path
+
+
+def test_an_unknown_hall_is_commissioned_calibrated_and_prepared(tmp_path: Path) -> None:
+    file, sheet = tmp_path / "mycell.toml", tmp_path / "hall"
+    words = ("--cell", "unknown", "--seed", "7", "--speed", "max", "--truth")
+    with sim_command(*words, "--sheet", str(sheet), "--ports", FREE_PORTS) as simulation:
+        hall = json.loads((sheet / "hall.json").read_text())
+        done = commission(file, answers(hall, sheet / "nests.csv"))
+        assert done.returncode == 0, done.stderr[-3000:]
+        assert f"this cell is ready to calibrate: hilcell run --cell {file}" in done.stderr
+        assert {step.step for step in Commissioned.read(file).steps} == {s.name for s in STEPS}
+        questions = int(done.stderr.rpartition(" questions")[0].rpartition("\n")[2])
+        assert questions <= MOST_QUESTIONS
+
+        cell, truth = load_cell(str(file)), simulation.ask(do="truth")
+        base = cell.layout.nominal_base(cell.reference.strip_mm)
+        found_mm = np.linalg.norm(
+            np.array(truth["T_W_L"])[:3, 3] - cell.tracker.pose.matrix()[:3, 3]
+        )
+        assert found_mm < 2.0
+        assert np.degrees(np.abs(np.array(truth["T_W_B"])[:3, :3] - base[:3, :3])).max() < 0.5
+
+        runs = ("--runs", tmp_path / "runs")
+        ran = hilcell("run", "--cell", file, *runs, "--name", "first")
+        assert ran.returncode == 0, ran.stderr[-3000:]
+        drawing = holes(cell, tmp_path / "holes.csv")
+        prepared = hilcell(
+            "prepare", drawing, "--cell", file, "--calibration", "first",
+            "-o", tmp_path / "monday", *runs,
+        )  # fmt: skip
+        assert prepared.returncode == 0, prepared.stderr[-3000:]
+        assert list((tmp_path / "monday").glob("*.src"))
+
+
+TRAPS = {  # the step that notices it, and its word
+    "drive-sign": ("rail", "opposite directions"),
+    "scale-10": ("rail", "DIFFERS"),
+    "wrong-tool": ("base", "enter the measured place as the tool"),
+    "tracker-upside-down": ("tracker", "upside down"),
+}
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("trap", TRAPS)
+def test_a_trap_is_named(trap: str, tmp_path: Path) -> None:
+    file, sheet = tmp_path / "mycell.toml", tmp_path / "hall"
+    words = ("--cell", "unknown", "--seed", "3", "--speed", "max", "--trap", trap)
+    with sim_command(*words, "--sheet", str(sheet), "--ports", FREE_PORTS):
+        hall = json.loads((sheet / "hall.json").read_text())
+        done = commission(file, answers(hall, sheet / "nests.csv"))
+    step, word = TRAPS[trap]
+    _, _, said = done.stderr.partition(f", {step}: ")
+    assert word in said, done.stderr[-3000:]
+
+
+def test_the_steps_are_listed_without_a_file(tmp_path: Path) -> None:
+    done = hilcell("commission", tmp_path / "mycell.toml", "--list")
+    assert done.returncode == 0
+    assert done.stdout.count("open") == len(STEPS)
+
+
+@pytest.mark.parametrize("option", ["--from", "--only"])
+def test_an_unknown_step_is_refused(option: str, tmp_path: Path) -> None:
+    done = hilcell("commission", tmp_path / "mycell.toml", option, "rails")
+    assert done.returncode == 2
+    assert "unknown step 'rails'; known: devices" in done.stderr
