@@ -250,7 +250,7 @@ class StopRobot(Step):
 COMMISSION_STATIONS = Procedure(
     "commission-stations",
     "commissioning: every station by the strip, its nests by the tracker",
-    (Stations(),),
+    (Home(), Stations()),
     proved_table,
     of_rail=True,
 )

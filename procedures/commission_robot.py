@@ -48,7 +48,7 @@ class ReadController(Step):
             session.add(_read(settings, joints_deg))
         self._judge_limits(session, settings)
         self._judge_arm(session, settings, robot.joints_rad, robot.pose)
-        rounded_deg = [round(deg, 3) for deg in joints_deg]
+        rounded_deg = [round(deg, 3) + 0.0 for deg in joints_deg]  # no -0.0
         status = int(status_of(cell.robot.arm(), robot.joints_rad))
         prove(
             session,

@@ -81,9 +81,14 @@ class _AnsweringOutput(ProgressOutput):
 
     def print_record(self, record: Record) -> None:
         match record.fact:
-            case StateChanged(machine="run", to=to, prompt=prompt):
+            case StateChanged(machine="run", to=to, prompt=prompt) as change:
                 alone = prompt is not None and prompt.get("by_itself", False)
                 (self._waits.set if to in WAITING and not alone else self._waits.clear)()
+                if to in WAITING:
+                    asked = "" if prompt is None else f"{prompt['title']}. {prompt['text']}"
+                    words = asked or change.reason
+                    self._print(words if alone else f"{words}; Enter continues, ctrl-C stops")
+                    return
         super().print_record(record)
 
     def close(self, code: int, log: Log, fault: Exception | None) -> None:

@@ -16,7 +16,7 @@ from msgspec import Struct, field
 from hilcell.atomic_files import write_whole
 from hilcell.cell.settings import SettingsError, read_file
 from hilcell.commission.cell_text import CellText
-from hilcell.decoding import Json
+from hilcell.decoding import Json, decoded
 
 SUFFIX = ".commissioning.json"
 StepStatus = Literal["proved", "failed", "changed", "open"]
@@ -65,7 +65,7 @@ class Commissioned(Struct, frozen=True, kw_only=True):
         if not path.exists():
             return cls()
         try:
-            return msgspec.json.decode(read_file(path), type=cls)
+            return decoded(read_file(path), cls)
         except msgspec.DecodeError as error:
             act = "restore it from a backup, or move it away to begin again"
             raise SettingsError(str(path), [f"damaged: {error}; {act}"]) from error

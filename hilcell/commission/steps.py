@@ -22,6 +22,7 @@ from hilcell.errors import HilcellError
 from hilcell.journal.log import Log
 from hilcell.model.verdicts import Proved
 
+ABILITIES, LACKS = "abilities", "has not"
 REPEATS = 6  # of a step whose values are written and proved again
 
 
@@ -36,7 +37,7 @@ class Step(NamedTuple):
 
 STEPS = (
     Step("devices", "which devices there are", "nothing"),
-    Step("abilities", "what the devices can", "nothing"),
+    Step(ABILITIES, "what the devices can", "nothing"),
     Step(
         "controller",
         "settings of the robot's controller, the safe pose",
@@ -120,9 +121,7 @@ class Commissioning:
                 text.write(self.path)
                 load_cell(str(self.path))
             Commissioned.read(self.path).add(record, self.path)
-            for each in record.checks:
-                mark = "" if each.holds else " DIFFERS:"
-                self.dialogue.say(f"  {each.what}:{mark} {each.found}; expected {each.expected}")
+            self._show(step, record.checks)
             for path in changed:
                 self.dialogue.say(f"  {self.path.name}: {path} = {text.get(path)}")
             if record.holds:
@@ -136,6 +135,16 @@ class Commissioning:
             "the same command goes on here"
         )
         return False
+
+    def _show(self, step: Step, checks: Sequence[Check]) -> None:
+        """Print the checks; of a device's many abilities only those that it lacks."""
+        shown = checks
+        if step.name == ABILITIES:
+            shown = [each for each in checks if each.found.startswith(LACKS)]
+            self.dialogue.say(f"  {len(checks)} abilities, {len(shown)} of them lacking")
+        for each in shown:
+            mark = "" if each.holds else " DIFFERS:"
+            self.dialogue.say(f"  {each.what}:{mark} {each.found}; expected {each.expected}")
 
     def _agree(self, step: Step) -> None:
         """Ask before anything moves; raises `HilcellError` without agreement."""

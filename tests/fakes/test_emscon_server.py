@@ -547,10 +547,14 @@ def carried(tracker: Tracker) -> str:
 
 
 def test_a_person_carries_the_beam_to_one_nest_after_another(ready: Tracker) -> None:
-    nests = {nest.name for nest in ready.truth.cell.layout.fixed_nests}
+    layout = ready.truth.cell.layout
+    fixed = {nest.name for nest in layout.fixed_nests}
+    nests = [*fixed, "flange", *(nest.name for nest in layout.slide)]
     began_s = ready.truth.time.now_s()
     order = [carried(ready) for _ in range(2 * len(nests))]
-    assert set(order[: len(nests)]) == nests
+    assert set(order[: len(fixed)]) == fixed
+    assert order[len(fixed)] == "flange"
+    assert set(order[: len(nests)]) == set(nests)
     assert order[len(nests) :] == order[: len(nests)]
     each_s = (ready.truth.time.now_s() - began_s) / len(order)
     assert 4.0 < each_s < 20.0  # a few seconds of cell time, besides the way to the bird bath

@@ -241,7 +241,9 @@ def test_no_target_and_nothing_to_abort(peer: GeoCom) -> None:
 
 def test_a_person_turns_the_telescope_to_one_nest_after_another(station: Station) -> None:
     station.ready()
-    nests = {nest.name for nest in station.truth.cell.layout.fixed_nests}
+    layout = station.truth.cell.layout
+    fixed = {nest.name for nest in layout.fixed_nests}
+    nests = {*fixed, "flange", *(nest.name for nest in layout.slide)}
     assert station.aim(station.at("P1")) == 0
     order = []
     for _ in range(2 * len(nests)):
@@ -258,5 +260,6 @@ def test_a_person_turns_the_telescope_to_one_nest_after_another(station: Station
         off_mm = {name: np.linalg.norm(at_mm - station.at(name)) for name in nests}
         order.append(min(off_mm, key=off_mm.__getitem__))
         assert off_mm[order[-1]] < 5.0
+    assert set(order[: len(fixed)]) == fixed
     assert set(order[: len(nests)]) == nests
     assert order[len(nests) :] == order[: len(nests)]

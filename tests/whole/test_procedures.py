@@ -25,6 +25,9 @@ GOLDEN = {"calibrate": "small", "sign-check": "sign-check"}  # runs that other t
 OTHERS = (
     *GOLDEN,
     "campaign",
+    "commission-base",
+    "commission-slide",
+    "commission-tracker",
     "conformance",
     "iso9283",
     "paper",
