@@ -99,13 +99,15 @@ class ReadController(Step):
         off = deviation(arm_from_joints(robot.joint, tool), joints_rad, pose)
         smr_mm = [round(float(value), 3) for value in tool[:3, 3]]
         same = bool(np.all(np.abs(np.subtract(smr_mm, robot.smr_mm)) < 0.002))
-        coupled = "" if off.holds else coupling_words(robot, tool, joints_rad, pose)
+        coupled = None if off.holds else coupling_of(robot, tool, joints_rad, pose)
         prove(
             session,
             "kinematics",
             holds=off.holds,
-            found=coupled or f"{off.off_mm:.3f} mm from the pose of the joints by the cell file",
+            found=f"{off.off_mm:.3f} mm from the pose of the joints by the cell file"
+            + ("" if coupled is None else f": axis 3 turns with axis 2 (coupled, {coupled:+d})"),
             expected=f"<= {off.limit_mm:.3f} mm",
+            values={} if coupled is None else coupled_values(session.cell, settings, coupled),
         )
         prove(
             session,
@@ -120,16 +122,35 @@ class ReadController(Step):
         return proved_result(log)
 
 
-def coupling_words(robot: RobotTable, tool: Array, joints_rad: Array, pose: Array) -> str:
-    """Return which axis turns with another, if that explains the controller's pose; else ""."""
+def coupled_values(cell: Cell, settings: RobotSettings, coupling: int) -> dict[str, object]:
+    """Return the values of a cell file whose axis 3 is coupled to axis 2.
+
+    Poses and limits are the controller's: its joint 3 is the chain's angle less ``coupling q2``.
+    """
+    values: dict[str, object] = {
+        "robot.joint.2.coupled_to": 2,
+        "robot.joint.2.coupling": coupling,
+    }
+    for key in ("axis_1_deg", "axis_6_deg"):
+        pose = list(getattr(cell.base_frame, key))
+        pose[2] -= coupling * pose[1]
+        values[f"base_frame.{key}"] = pose
+    if settings.joint_limits_rad is not None:
+        low, high = np.degrees(settings.joint_limits_rad[2])
+        values["robot.joint.2.min_deg"] = round(float(low), 3)
+        values["robot.joint.2.max_deg"] = round(float(high), 3)
+    return values
+
+
+def coupling_of(robot: RobotTable, tool: Array, joints_rad: Array, pose: Array) -> int | None:
+    """Return how axis 3 turns with axis 2, if that explains the controller's pose; else None."""
     arm = arm_from_joints(robot.joint, tool)
-    for axis, other in ((3, 2), (4, 3), (6, 5), (6, 4), (5, 4)):
-        for factor in (1.0, -1.0):
-            turned = joints_rad.copy()
-            turned[axis - 1] += factor * joints_rad[other - 1]
-            if deviation(arm, turned, pose).holds:
-                return f"axis {axis} turns with axis {other} (coupled, {factor:+g})"
-    return ""
+    for coupling in (1, -1):
+        turned = joints_rad.copy()
+        turned[2] += coupling * joints_rad[1]
+        if deviation(arm, turned, pose).holds:
+            return coupling
+    return None
 
 
 def _read(settings: RobotSettings, joints_deg: list[float]) -> ControllerRead:
