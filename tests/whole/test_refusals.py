@@ -90,7 +90,7 @@ SENSELESS = [
     ("sim --set simulation.address=127.0.0.1:1 --ports rail=7", ["simulation.address"]),
     *(
         (f"sim --ports={ports}", ["--ports"])
-        for ports in ("rail", "rial=1", "rail=0", "rail=65536", "rail=1,rail=2", "")
+        for ports in ("rail", "rial=1", "rail=-1", "rail=65536", "rail=1,rail=2", "")
     ),
     ("study report", ["folder"]),
     ("study report r", ["folder"]),
