@@ -9,11 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from itertools import count
 
+import msgspec
 import numpy as np
 
 from hilcell.cell.devices import jogging_rail
-from hilcell.cell.file import Cell
-from hilcell.geometry.frames import apply, inverse, zyx_from_pose
+from hilcell.cell.file import Cell, Pose
+from hilcell.decoding import Json
+from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.kinematics import forward
 from hilcell.identification.places import (
     BaseFit,
@@ -154,11 +156,10 @@ def places_mm(seen: Sequence[PlaceSeen]) -> Array:
     return np.array([each.xyz_mm for each in seen]).reshape(-1, 3)
 
 
-def pose_values(T: Array) -> dict[str, float]:
+def pose_values(T: Array) -> Json:
     """Return a pose (4, 4) as the cell file has it."""
-    values = zyx_from_pose(T[None])[0]
-    names = ("x_mm", "y_mm", "z_mm", "a_deg", "b_deg", "c_deg")
-    return {name: round(float(value), 3) for name, value in zip(names, values, strict=True)}
+    values: Json = msgspec.to_builtins(Pose.of(T))
+    return values
 
 
 # -- rail and base, by the reflector on the flange -------------------------------------------------

@@ -55,14 +55,14 @@ class Stations(Step):
         strip_mm = session.devices.rail.read().strip_mm
         T_L_B = inverse(cell.tracker.pose.matrix()) @ cell.layout.nominal_base(strip_mm)
         off_mm: list[float] = []
-        unseen: list[str] = []
+        unseen: list[str] = []  # with the reason
         for nest in cell.layout.slide:
             near_mm = apply(T_L_B, nest.xyz_mm[None])[0]
             key = f"{station.name} {nest.name}"
             try:
                 seen = session.found_place(key, near_mm, SAMPLES, radius_mm=SEARCH_MM)
-            except NoReading:
-                unseen.append(nest.name)
+            except NoReading as error:
+                unseen.append(f"{nest.name} ({error.summary})")
             else:
                 off_mm.append(float(np.linalg.norm(np.array(seen.xyz_mm) - near_mm)))
         limit_mm = 2.0 * cell.layout.nest_tolerance_mm
@@ -219,7 +219,6 @@ class StopRobot(Step):
             holds=holds,
             found=f"at rest {after_deg:.3f} deg after the stop, {short_deg:.2f} deg before the end",
             expected=f"<= {self.STOPPED_DEG:g} deg after the stop",
-            values={"robot.speed_percent": 30.0} if holds else {},
         )
 
     def _stopped(self, session: CellSession, end_rad: float) -> tuple[float, float]:

@@ -44,7 +44,7 @@ JOGS = (
 )
 STOP = Jog("stop", 500.0, 50.0, -1)
 BACK = Jog("20 mm on", 20.0, 5.0)  # the other way than the jog before it
-RETURN, RETURN_MM = "return", 10.0  # a slide that is nearer stays
+RETURN, RETURN_MM = "return", 1.0  # a slide that is nearer stays
 STOP_AFTER_MM = 100.0
 SCALE_SHARE = 2e-3  # that drive and strip may differ in scale
 LANDING_MM = 0.06  # by which drive and strip end a jog apart
@@ -74,7 +74,10 @@ class RailJogs(Step):
 
     name = "rail-jogs"
     needs = "a robot parked clear of the slide, a slide free for 500 mm towards the middle"
-    moves = "the slide by 0.5, 5, 20, 100 and 500 mm towards the middle of its travel, and back"
+    moves = (
+        "the slide by 0.5, 5, 20, 100 and 500 mm towards the middle of its travel, and back, at "
+        "0.5 to 50 mm/s; each motion is stopped at 1.2 times its distance plus 3 mm"
+    )
     measures = "drive, strip, and the drive's own speed"
     yields = "signs, scales, speed unit, backlash and the stop of the rail"
 

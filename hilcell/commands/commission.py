@@ -14,7 +14,7 @@ from hilcell.commands.signatures import Commission
 from hilcell.commission.cell_text import CellText
 from hilcell.commission.dialogue import Dialogue
 from hilcell.commission.record import Commissioned, record_path
-from hilcell.commission.steps import STEPS, Commissioning, Step, steps_to_perform
+from hilcell.commission.steps import STEPS, Commissioning, Step, steps_to_perform, unproved
 from hilcell.errors import EXIT_OK, EXIT_OUT_OF_TOLERANCE, HilcellError
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
@@ -38,9 +38,7 @@ def commission(args: Commission) -> int:
         args.cell, dialogue, args.operator, lambda name: _run(name, args, dialogue)
     )
     proved = work.perform(steps_to_perform(args.cell, args.first, args.only))
-    text, record = CellText.read(args.cell), Commissioned.read(args.cell)
-    left = [step.name for step in STEPS if record.status(step.name, text) != "proved"]
-    if left:
+    if left := unproved(args.cell):
         print_message(f"not proved yet: {', '.join(left)}")
     else:
         print_message(f"this cell is ready to calibrate: hilcell run --cell {args.cell}")
@@ -69,6 +67,18 @@ def _read(lines: Queue[str | None]) -> None:
     lines.put(None)
 
 
+class StepEnded(HilcellError):
+    """The run of a step has ended early; the command ends with its exit code."""
+
+    code = "HC-C40"
+
+    def __init__(self, procedure: str, exit_code: int) -> None:
+        super().__init__(
+            f"{procedure} ended early; mend the cause, then the same command goes on with this step"
+        )
+        self.exit_code = exit_code
+
+
 class _AnsweringOutput(ProgressOutput):
     """Shows a run's progress; a line typed while it waits answers it."""
 
@@ -83,11 +93,14 @@ class _AnsweringOutput(ProgressOutput):
         match record.fact:
             case StateChanged(machine="run", to=to, prompt=prompt) as change:
                 alone = prompt is not None and prompt.get("by_itself", False)
-                (self._waits.set if to in WAITING and not alone else self._waits.clear)()
+                self._waits.clear()
                 if to in WAITING:
                     asked = "" if prompt is None else f"{prompt['title']}. {prompt['text']}"
                     words = asked or change.reason
-                    self._print(words if alone else f"{words}; Enter continues, ctrl-C stops")
+                    self._print(words if alone else f"{words}; {self._dialogue.how}, ctrl-C stops")
+                    if not alone:
+                        self._dialogue.drop_typed_ahead()
+                        self._waits.set()
                     return
         super().print_record(record)
 
@@ -101,7 +114,8 @@ class _AnsweringOutput(ProgressOutput):
         while not self._ended.is_set():
             if not self._waits.wait(ANSWER_S):
                 continue
-            if self._dialogue.waiting_line(ANSWER_S) is None:
+            line = self._dialogue.waiting_line(ANSWER_S)
+            if line is None or not self._dialogue.agrees(line):
                 self._ended.wait(ANSWER_S)
                 continue
             self._waits.clear()
@@ -125,9 +139,5 @@ def _run(procedure: str, args: Commission, dialogue: Dialogue) -> tuple[str, Log
         output.close(code, log, fault)
         if fault is not None:
             print_end(plan.folder, log, plan.procedure, output, fault)
-            raise HilcellError(
-                f"step of {procedure} ended early (exit {code}); mend the cause, then the same "
-                "command goes on here",
-                code="HC-C40",
-            )
+            raise StepEnded(procedure, code)
         return plan.folder.name, log

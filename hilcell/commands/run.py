@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hilcell.cell.devices import load_entry
+from hilcell.cell.source import built_in_cells
 from hilcell.commands.console import print_message
 from hilcell.commands.run_output import (
     JsonOutput,
@@ -39,9 +40,20 @@ def run(args: Order) -> int:
     if args.dry_run:
         print_dry_run(plan.cell, plan.procedure, plan.steps, as_json=args.json)
         return 0
+    refuse_unproved(args)
     print_warnings(plan.steps)
     with NewEngine(args, plan, print_message) as engine:
         return _performed(engine, as_json=args.json)
+
+
+def refuse_unproved(args: Order) -> None:
+    """Raise `HilcellError` for a cell file with assumed places, except to commission it."""
+    path = Path(args.cell)
+    if args.cell in built_in_cells() or args.procedure.startswith("commission-"):
+        return
+    from hilcell.commission.steps import check_proved  # loads what edits cell files
+
+    check_proved(path)
 
 
 def resume(args: Resume) -> int:

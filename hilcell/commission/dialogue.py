@@ -52,11 +52,27 @@ class Dialogue:
         return self.ask(question, parse, default or (names[0] if len(names) == 1 else ""))
 
     def agree(self, question: str) -> bool:
-        """Return whether the person agrees; real devices need a whole "yes"."""
+        """Return whether the person agrees; real devices need a whole "yes", typed after it."""
         self.questions += 1
-        wanted = 'type "yes"' if self.real else "y or yes"
-        self.say(f"{question} ({wanted}; another answer moves nothing)")
-        return self._line().lower() in (("yes",) if self.real else ("y", "yes"))
+        self.say(f"{question} ({self.how}; another answer moves nothing)")
+        self.drop_typed_ahead()
+        return self.agrees(self._line())
+
+    @property
+    def how(self) -> str:
+        """Return how a person agrees."""
+        return 'type "yes" to continue' if self.real else "Enter or y continues"
+
+    def agrees(self, line: str) -> bool:
+        return line.strip().lower() in (("yes",) if self.real else ("", "y", "yes"))
+
+    def drop_typed_ahead(self) -> None:
+        """Forget what was typed before a question of which real devices move."""
+        while self.real and not self._over:
+            try:
+                self._over = self._lines.get_nowait() is None
+            except Empty:
+                return
 
     def waiting_line(self, limit_s: float) -> str | None:
         """Return a typed line, None if none comes in time or input has ended."""

@@ -37,7 +37,7 @@ def write_robot(text: CellText, robot: str) -> None:
         ("robot.home_deg", list(table.home_deg), ASSUMED),
         ("robot.safe_deg", list(table.safe_deg), ASSUMED),
         ("robot.status", table.status, ""),
-        ("robot.speed_percent", 10.0, "until the cell is proved"),
+        ("robot.speed_percent", 10.0, "raise it once the cell is proved"),
         ("robot.ramp_s", table.ramp_s, ""),
         ("robot.joint", [joint_row(cell, axis) for axis in range(6)], source),
         ("grid.station", "S1", ""),

@@ -5,6 +5,7 @@ Devices are found by their drivers (`hilcell.ports.Discovers`), which listen and
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -105,7 +106,7 @@ class WhichDevices:
 
     def _address(self, table: str, kind: type) -> Json:
         """Ask for what the driver cannot find without: its host or its channel."""
-        names = {each.name for each in msgspec.structs.fields(kind.Options)}  # type: ignore[attr-defined]
+        names = option_names(kind)
         for key, example in (("host", "192.168.10.20"), ("channel", "can0")):
             if key in names:
                 question = f"{table}: {key} (such as {example})?"
@@ -170,7 +171,7 @@ class WhichDevices:
                 number(100.0, DRAWING_MM, "mm"),
             )
             write_travel(self._text, room_mm)
-        if self._text.get("rail.driver") == "canopen":
+        if "homing" in option_names(load_entry("rails", str(self._text.get("rail.driver")))):
             self._once(
                 "rail.options.homing",
                 "rail: homing method of the drive; 35 or 37: the slide stays where it is",
@@ -201,6 +202,12 @@ class WhichDevices:
         """Ask for a value unless the file has it."""
         if self._text.get(path) is None:
             self._text.set(path, self._dialogue.ask(question, parse, default))
+
+
+def option_names(kind: type) -> set[str]:
+    """Return the names of a driver's options."""
+    options: type[msgspec.Struct] = kind.Options  # type: ignore[attr-defined]
+    return {*options.__struct_fields__}
 
 
 def drawing(answer: str) -> list[Json]:
@@ -237,15 +244,14 @@ def addresses_of(address: str) -> Addresses:
         simulated.close()
 
 
-def what_devices_can(cell: Cell) -> list[tuple[str, list[ports.Ability]]]:
-    """Return the abilities of each device, by table; nothing is written, powered or moved."""
+def what_devices_can(cell: Cell) -> list[ports.Ability]:
+    """Return the abilities of all devices; nothing is written, powered or moved."""
     simulated = {} if cell.simulation is None else addresses_of(cell.simulation.address)
-    found = []
+    found: list[ports.Ability] = []
     for table in GROUPS:
         kind, options = driver_options(cell, table, simulated.get(table, {}))
         device = kind(options, WallClock(Event()))
-        if isinstance(device, ports.Inspects):
-            found.append((table, device.inspect()))
+        found += device.inspect() if isinstance(device, ports.Inspects) else []
     return found
 
 
@@ -256,6 +262,6 @@ def summary_of(kind: type) -> str:
 
 
 def alike(name: str, title: str) -> bool:
-    """Whether a title names a robot, regardless of blanks and case."""
-    first = name.replace(" ", "").casefold().partition("r2700")[0]
-    return first in title.replace(" ", "").casefold()
+    """Whether a title names a robot, regardless of case, blanks and signs."""
+    plain, of_title = (re.sub(r"[\W_]", "", each).casefold() for each in (name, title))
+    return plain in of_title

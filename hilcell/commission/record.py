@@ -41,7 +41,6 @@ class StepRecord(Struct, frozen=True, kw_only=True):
     holds: bool
     checks: list[Check]
     run: str = ""
-    robot_s: float = 0.0  # of the cell's time
 
     @property
     def values(self) -> Json:

@@ -12,7 +12,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from hilcell.cell.file import load_cell
+from hilcell.cell.devices import load_entry
+from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.commission.cell_text import CellText
 from hilcell.commission.dialogue import Dialogue
@@ -21,70 +22,42 @@ from hilcell.commission.record import Check, Commissioned, StepRecord
 from hilcell.errors import HilcellError
 from hilcell.journal.log import Log
 from hilcell.model.verdicts import Proved
+from hilcell.run.procedure import Procedure
 
 ABILITIES, LACKS = "abilities", "has not"
 REPEATS = 6  # of a step whose values are written and proved again
 
 
 class Step(NamedTuple):
-    """One step; ``procedure``: of its run, "" for one without a run."""
+    """One step; ``procedure``: of its run, "" for one without a run. ``confirms``: a fact that only
+    a person sees, asked before the run.
+    """
 
     name: str
     title: str
-    moves: str
     procedure: str = ""
+    confirms: str = ""
 
 
 STEPS = (
-    Step("devices", "which devices there are", "nothing"),
-    Step(ABILITIES, "what the devices can", "nothing"),
+    Step("devices", "which devices there are"),
+    Step(ABILITIES, "what the devices can"),
     Step(
         "controller",
         "settings of the robot's controller, the safe pose",
-        "nothing",
         "commission-controller",
+        "the present pose of the robot becomes its safe pose, at which the slide travels; is it "
+        "clear of everything along the rail?",
     ),
-    Step(
-        "rail",
-        "signs, scales, speed and stop of the rail, small first",
-        "the slide by 0.5, 5, 20, 100 and 500 mm towards the middle of its travel, and back, the "
-        "first at 0.5 mm/s; a quick stop at 1.2 times each distance plus 3 mm",
-        "commission-rail",
-    ),
-    Step(
-        "robot",
-        "each axis by a degree",
-        "each axis of the robot alone by 1 deg at 1 % of its speed, and back",
-        "commission-robot",
-    ),
-    Step(
-        "tracker",
-        "the tracker's pose, by the floor nests in any order",
-        "nothing; a person puts the beam on the nests",
-        "commission-tracker",
-    ),
-    Step(
-        "base",
-        "the robot's base and the reflector on its flange",
-        "each axis of the robot, at most 15 deg around its safe pose, at 5 % of its speed",
-        "commission-base",
-    ),
-    Step(
-        "slide",
-        "the nests on the slide and the rail's direction",
-        "the slide by 300 mm; a person puts the beam on the slide's nests",
-        "commission-slide",
-    ),
-    Step(
-        "stations",
-        "the stations, by the strip",
-        "the slide to each station",
-        "commission-stations",
-    ),
+    Step("rail", "signs, scales, speed and stop of the rail, small first", "commission-rail"),
+    Step("robot", "each axis by a degree", "commission-robot"),
+    Step("tracker", "the tracker's pose, by the floor nests in any order", "commission-tracker"),
+    Step("base", "the robot's base and the reflector on its flange", "commission-base"),
+    Step("slide", "the nests on the slide", "commission-slide"),
+    Step("stations", "the stations, by the strip", "commission-stations"),
     Step(
         "proof",
         "a first pass, a correction that must go the right way, a stop",
-        "the robot to the corners of its grid at 10 % of its speed",
         "commission-proof",
     ),
 )
@@ -148,12 +121,16 @@ class Commissioning:
 
     def _agree(self, step: Step) -> None:
         """Ask before anything moves; raises `HilcellError` without agreement."""
-        if step.moves.partition(";")[0] == "nothing":
+        if not step.procedure:
             return
-        self.dialogue.real = load_cell(str(self.path)).simulation is None
-        question = f"this step moves {step.moves}; is the cell clear, and somebody at the E-stop?"
-        if not self.dialogue.agree(question):
-            raise HilcellError(f"step {step.name} was not agreed to; nothing moved", code="HC-C40")
+        cell = load_cell(str(self.path))
+        self.dialogue.real = cell.simulation is None
+        moves = motions(cell, load_entry("procedures", step.procedure))
+        for question in filter(None, (step.confirms, moves)):
+            if not self.dialogue.agree(question):
+                raise HilcellError(
+                    f"step {step.name} was not agreed to; nothing moved", code="HC-C40"
+                )
 
     def _once(self, step: Step) -> StepRecord:
         """Perform a step once."""
@@ -183,8 +160,7 @@ class Commissioning:
                 expected=ability.needed,
                 holds=ability.state != "has not" or ability.needed == "optional",
             )
-            for _, abilities in what_devices_can(load_cell(str(self.path)))
-            for ability in abilities
+            for ability in what_devices_can(load_cell(str(self.path)))
         ]
 
     def _record(self, step: Step, checks: list[Check], run: str = "") -> StepRecord:
@@ -198,19 +174,52 @@ class Commissioning:
         )
 
 
+def motions(cell: Cell, procedure: Procedure) -> str:
+    """Return the question before a run that moves something, "" for one that moves nothing."""
+    moving = [each for each in procedure.steps if each.moves != "nothing"]
+    if not moving:
+        return ""
+    needs = "; ".join(each.needs for each in moving)
+    moves = "; then ".join(each.moves for each in moving)
+    return (
+        f"needed: {needs}. It moves {moves}. Where no speed is given: the slide at "
+        f"{cell.rail.speed_mm_s:g} mm/s, the robot at {cell.robot.speed_percent:g} %. Is the cell "
+        "clear, and somebody at the E-stop?"
+    )
+
+
+def unproved(path: Path) -> list[str]:
+    """Return the steps that are not proved with the values that the cell file has."""
+    record, text = Commissioned.read(path), CellText.read(path)
+    return [step.name for step in STEPS if record.status(step.name, text) != "proved"]
+
+
+def check_proved(path: Path) -> None:
+    """Refuse a cell file whose commissioning has begun and has left steps unproved: its places may
+    be assumed. Raises `HilcellError`.
+    """
+    record = Commissioned.read(path)
+    held = {each.step for each in record.steps if each.holds}
+    never = [step.name for step in STEPS if step.name not in held]
+    if record.steps and never:
+        raise HilcellError(
+            f"{path}: commissioning has not proved {', '.join(never)} yet, so places and signs in "
+            f"this file may be assumed; go on with `hilcell commission {path}`",
+            code="HC-C41",
+        )
+
+
 def steps_to_perform(path: Path, first: str, only: str) -> Sequence[Step]:
     """Return the steps to perform: one, those from one on, or from the first that is not proved.
 
-    Raises `SettingsError` for an unknown name.
+    Raises `SettingsError` for an unknown name, and for a step before which another is not proved:
+    it would move by assumed values.
     """
-    names = [step.name for step in STEPS]
-    for name in filter(None, (first, only)):
-        if name not in names:
-            raise SettingsError("step", [f"unknown step {name!r}; known: {', '.join(names)}"])
-    if only:
-        return [STEPS[names.index(only)]]
-    if first:
-        return STEPS[names.index(first) :]
-    record, text = Commissioned.read(path), CellText.read(path)
-    begun = (n for n, step in enumerate(STEPS) if record.status(step.name, text) != "proved")
-    return STEPS[next(begun, len(STEPS)) :]
+    names, open_steps = [step.name for step in STEPS], unproved(path)
+    name = only or first
+    if name and name not in names:
+        raise SettingsError("step", [f"unknown step {name!r}; known: {', '.join(names)}"])
+    begin = names.index(name or (open_steps[0] if open_steps else names[-1]))
+    if before := [each for each in open_steps if each in names[:begin]]:
+        raise SettingsError("step", [f"{name}: {', '.join(before)} must be proved before it"])
+    return STEPS[begin : begin + 1] if only else STEPS[begin:]

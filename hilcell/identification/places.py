@@ -6,12 +6,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hilcell.geometry.frames import apply, cross_matrix, from_rotvec, inverse, matrix, rigid_fit
-from hilcell.geometry.kinematics import Arm, Array, link_transforms
+from hilcell.geometry.frames import apply, cross_matrix, from_rotvec, matrix, rigid_fit
+from hilcell.geometry.kinematics import Arm, Array, forward
 
 UPRIGHT = 0.0  # least cosine between the tracker's z and that of {W}
 
@@ -150,11 +150,7 @@ def fit_base(
 
 def _flange(arm: Arm, joints_rad: Array) -> Array:
     """Return the flange in {B} (N, 4, 4) at joints (N, 6)."""
-    links = link_transforms(arm, np.atleast_2d(joints_rad))
-    pose = links[..., 0, :, :]
-    for row in range(1, 6):
-        pose = pose @ links[..., row, :, :]
-    return np.asarray(pose)
+    return forward(replace(arm, tool=np.eye(4)), np.atleast_2d(joints_rad))
 
 
 def rail_direction(positions_mm: Sequence[float], places_mm: Array) -> Array:
@@ -168,8 +164,3 @@ def rail_scale(positions_mm: Sequence[float], places_mm: Array) -> float:
     """Return the distance by the tracker a mm of the slide's positions."""
     s = np.asarray(positions_mm) - np.mean(positions_mm)
     return float(np.linalg.norm(s @ (places_mm - places_mm.mean(axis=0)) / (s @ s)))
-
-
-def in_frame(T: Array, points_mm: Array) -> Array:
-    """Return points (N, 3) in the frame ``T`` (4, 4)."""
-    return apply(inverse(T), points_mm)

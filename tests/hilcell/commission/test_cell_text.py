@@ -98,12 +98,30 @@ def test_an_answer_out_of_range_is_asked_for_again() -> None:
 
 @pytest.mark.parametrize(
     ("real", "answer", "agreed"),
-    [(True, "yes", True), (True, "y", False), (True, "", False), (False, "y", True)],
+    [
+        (True, "yes", True),
+        (True, "y", False),
+        (True, "", False),
+        (False, "", True),
+        (False, "n", False),
+    ],
 )
 def test_real_devices_move_by_the_whole_word(real: bool, answer: str, agreed: bool) -> None:
-    dialogue, _ = asked(f"{answer}\n")
+    dialogue, _ = asked()
     dialogue.real = real
-    assert dialogue.agree("clear?") is agreed
+    assert dialogue.agrees(answer) is agreed
+
+
+def test_an_answer_typed_before_its_question_moves_no_real_device() -> None:
+    lines: Queue[str | None] = Queue()
+    lines.put("yes\n")
+    dialogue = Dialogue(lines, lambda _: None)
+    dialogue.drop_typed_ahead()
+    assert lines.empty()
+    dialogue.real = False
+    lines.put("yes\n")
+    dialogue.drop_typed_ahead()
+    assert dialogue.agree("clear?"), "a script answers a simulated cell beforehand"
 
 
 def test_the_end_of_input_ends_the_dialogue() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 import threading
-import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any, ClassVar
@@ -154,13 +153,12 @@ def test_a_command_that_hangs_delays_neither_the_run_nor_its_end(
     """It does not read its input either, of which a pipe would hold a part only."""
     monkeypatch.setattr(notify, "REST_S", 0.3)
     monkeypatch.setattr(notify, "END_S", 0.3)
+    monkeypatch.setattr(notify, "LIMIT_S", 1e6)  # a record that waits for a command never returns
     with Session(tmp_path / "r1", command) as session:
-        before_s = time.monotonic()
         for _ in range(20):
             session.state("paused", reason="x" * 100_000)
             session.state("running")
         session.ended()
-        assert time.monotonic() - before_s < notify.LIMIT_S / 2, "none waits for a command"
     found = failures(tmp_path / "r1")
     assert [event for event, _ in found] == [*["suspension"] * 20, "end"]
     assert "hangs" in found[0][1]

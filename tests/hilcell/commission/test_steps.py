@@ -1,0 +1,66 @@
+"""The order of steps, and the questions before anything moves."""
+
+from pathlib import Path
+
+import pytest
+
+from hilcell.cell.devices import load_entry
+from hilcell.cell.file import load_cell
+from hilcell.cell.settings import SettingsError
+from hilcell.commission.record import Commissioned, StepRecord
+from hilcell.commission.steps import STEPS, Step, check_proved, motions, steps_to_perform, unproved
+from hilcell.errors import HilcellError
+from hilcell.run.procedure import Procedure
+
+NAMES = [step.name for step in STEPS]
+
+
+def proved(cell: Path, *names: str) -> Path:
+    """Return a cell file whose record has these steps proved."""
+    cell.write_text('name = "hall"\n')
+    for name in names:
+        step = StepRecord(step=name, ended="", operator="", holds=True, checks=[])
+        Commissioned.read(cell).add(step, cell)
+    return cell
+
+
+def test_commissioning_goes_on_with_the_first_unproved_step(tmp_path: Path) -> None:
+    cell = proved(tmp_path / "hall.toml", *NAMES[:3])
+    assert [step.name for step in steps_to_perform(cell, "", "")] == NAMES[3:]
+
+
+@pytest.mark.parametrize(("first", "only"), [("base", ""), ("", "base"), ("", "proof")])
+def test_no_step_is_performed_before_those_it_rests_on(
+    first: str, only: str, tmp_path: Path
+) -> None:
+    cell = proved(tmp_path / "hall.toml", *NAMES[:3])
+    with pytest.raises(SettingsError, match=r"rail, robot, tracker.* must be proved before it"):
+        steps_to_perform(cell, first, only)
+
+
+def test_one_proved_step_is_repeated_alone(tmp_path: Path) -> None:
+    cell = proved(tmp_path / "hall.toml", *NAMES[:5])
+    assert [step.name for step in steps_to_perform(cell, "", "rail")] == ["rail"]
+    assert [step.name for step in steps_to_perform(cell, "rail", "")] == NAMES[3:]
+
+
+def test_a_draft_of_assumed_places_drives_nothing_else(tmp_path: Path) -> None:
+    check_proved(tmp_path / "hall.toml")  # no record: a person has written it
+    draft = proved(tmp_path / "hall.toml", *NAMES[:-1])
+    with pytest.raises(HilcellError, match="has not proved proof yet"):
+        check_proved(draft)
+    check_proved(proved(tmp_path / "hall.toml", *NAMES))
+    assert unproved(tmp_path / "hall.toml") == []
+
+
+@pytest.mark.parametrize("step", [step for step in STEPS if step.procedure], ids=lambda s: s.name)
+def test_the_question_names_every_motion_and_the_speeds(step: Step) -> None:
+    procedure: Procedure = load_entry("procedures", step.procedure)
+    question = motions(load_cell("paper"), procedure)
+    moving = [each for each in procedure.steps if each.moves != "nothing"]
+    assert bool(question) == bool(moving)
+    for each in moving:
+        assert each.moves in question
+        assert each.needs in question
+    if moving:
+        assert "the slide at 250 mm/s, the robot at 30 %" in question
