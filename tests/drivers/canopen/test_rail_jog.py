@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from typing import Any
@@ -13,12 +12,10 @@ import pytest
 from drivers.canopen.rail import CanopenRail
 from fakes.canopen.rail_device import RailDevice
 from fakes.in_process import EventClock
-from hilcell.clock import WallClock
 from tests.drivers.canopen.test_units_of_the_drive import PACE, SlowClock
 from tests.drivers.peers import refusal
 from tests.fakes.rail_bench import Bench, served
 
-pytestmark = pytest.mark.wall
 MOTOR = {"motor_mm_s": 500.0, "motor_mm_s2": 2000.0}
 TRAPS: dict[str, RailDevice] = {
     "as stated": RailDevice(),
@@ -30,22 +27,6 @@ TRAPS: dict[str, RailDevice] = {
     "rpm": RailDevice(speed_unit="rpm", **MOTOR),
     "0.1 counts/s": RailDevice(speed_unit="0.1 counts/s"),
 }
-
-
-FAST = 10.0
-
-
-class FastClock(WallClock):
-    """Real time; the cell's is faster."""
-
-    def __init__(self) -> None:
-        super().__init__(threading.Event())
-
-    def now_s(self) -> float:
-        return FAST * super().now_s()
-
-    def wait(self, duration_s: float) -> None:
-        super().wait(duration_s / FAST)
 
 
 def options_of(bench: Bench, **options: Any) -> CanopenRail.Options:
@@ -60,34 +41,35 @@ def options_of(bench: Bench, **options: Any) -> CanopenRail.Options:
 
 
 @contextmanager
-def connected(device: RailDevice, **options: Any) -> Iterator[tuple[CanopenRail, Bench]]:
-    with served(speed=PACE, device=device) as bench:
-        rail = CanopenRail(options_of(bench, **options), SlowClock())
-        rail.connect()
-        try:
+def connected(
+    device: RailDevice, *, paced: bool = False, **options: Any
+) -> Iterator[tuple[CanopenRail, Bench]]:
+    """Connect a rail in stepped time, or paced where the wire's own delays count."""
+    with served(device=device, **({"speed": PACE} if paced else {})) as bench:
+        clock = SlowClock() if paced else EventClock(bench.server._time)
+        with closing(CanopenRail(options_of(bench, **options), clock)) as rail:
+            rail.connect()
             yield rail, bench
-        finally:
-            rail.close()
 
 
-@pytest.mark.parametrize("trap", TRAPS)
-@pytest.mark.parametrize(("distance_mm", "bound_mm"), [(0.05, 10.5), (5.0, 8.0)])
-def test_a_jog_stays_within_its_bound(trap: str, distance_mm: float, bound_mm: float) -> None:
-    if trap == "scale x 200" and distance_mm > 1:
-        pytest.skip("the first jog has shown the scale")
-    with connected(TRAPS[trap]) as (rail, bench):
+@pytest.mark.wall
+@pytest.mark.parametrize(
+    ("trap", "stopped_by", "ratio"),
+    [("as stated", "", 1.0), ("scale x 10", "bound", 10.0), ("rpm", "", 1.0)],
+)
+def test_a_jog_stays_within_its_bound_by_the_wires_own_delays(
+    trap: str, stopped_by: str, ratio: float
+) -> None:
+    bound_mm = 8.0
+    with connected(TRAPS[trap], paced=True) as (rail, bench):
         began_mm = bench.rail.slide_mm()
-        trace = rail.jog(distance_mm, bound_mm=bound_mm, speed_mm_s=5.0)
+        trace = rail.jog(5.0, bound_mm=bound_mm, speed_mm_s=5.0)
         assert bench.rail.at_rest
         assert not rail.read().powered
         assert abs(bench.rail.slide_mm() - began_mm) <= bound_mm
         assert np.abs(trace.strip_mm - trace.strip_mm[0]).max() <= bound_mm
-        stopped = (trap, distance_mm) in {("scale x 10", 5.0), ("scale x 200", 0.05)}
-        assert (trace.stopped_by == "bound") == stopped
-        if distance_mm > 1:
-            ratio = np.ptp(trace.strip_mm) / np.ptp(trace.drive_mm)
-            expected = {"scale x 0.9": 0.9, "scale x 10": 10.0}.get(trap, 1.0)
-            assert ratio == pytest.approx(expected, rel=0.08)
+        assert trace.stopped_by == stopped_by
+        assert np.ptp(trace.strip_mm) / np.ptp(trace.drive_mm) == pytest.approx(ratio, rel=0.08)
 
 
 @pytest.mark.parametrize("trap", TRAPS)
@@ -95,21 +77,20 @@ def test_a_jog_stays_within_its_bound(trap: str, distance_mm: float, bound_mm: f
 def test_a_jog_stays_within_its_bound_in_stepped_time(
     trap: str, second: tuple[float, float]
 ) -> None:
-    with served(device=TRAPS[trap]) as bench:
-        rail = CanopenRail(options_of(bench), EventClock(bench.server._time))
-        with closing(rail):
-            rail.connect()
-            stopped_by = []
-            for distance_mm, bound_mm in ((0.05, 10.5), second):
-                began_mm = bench.rail.slide_mm()
-                trace = rail.jog(distance_mm, bound_mm=bound_mm, speed_mm_s=5.0)
-                assert np.ptp(trace.strip_mm) <= bound_mm
-                assert abs(bench.rail.slide_mm() - began_mm) <= bound_mm
-                stopped_by.append(trace.stopped_by)
-                if trace.stopped_by:
-                    break
-            expected = {"scale x 200": ["bound"], "scale x 10": ["", "bound"]}
-            assert stopped_by == expected.get(trap, ["", ""])
+    with connected(TRAPS[trap]) as (rail, bench):
+        stopped_by = []
+        for distance_mm, bound_mm in ((0.05, 10.5), second):
+            began_mm = bench.rail.slide_mm()
+            trace = rail.jog(distance_mm, bound_mm=bound_mm, speed_mm_s=5.0)
+            assert bench.rail.at_rest
+            assert not rail.read().powered
+            assert np.ptp(trace.strip_mm) <= bound_mm
+            assert abs(bench.rail.slide_mm() - began_mm) <= bound_mm
+            stopped_by.append(trace.stopped_by)
+            if trace.stopped_by:
+                break
+        expected = {"scale x 200": ["bound"], "scale x 10": ["", "bound"]}
+        assert stopped_by == expected.get(trap, ["", ""])
 
 
 def test_a_stop_on_purpose_ends_a_jog() -> None:
@@ -144,7 +125,7 @@ def test_with_rescaled_options_drive_strip_and_speed_agree(
     device: RailDevice, factors: tuple[float, float, float], options: dict[str, Any]
 ) -> None:
     with connected(device, **options) as (rail, _):
-        better = rail.rescaled(*factors)
+        better: dict[str, Any] = rail.rescaled(*factors)
     with connected(device, **(options | better)) as (rail, bench):
         began_mm = bench.rail.slide_mm()
         trace = rail.jog(30.0, bound_mm=40.0, speed_mm_s=20.0)
@@ -159,7 +140,7 @@ def test_with_rescaled_options_drive_strip_and_speed_agree(
 
 def test_exchanged_node_numbers_are_named() -> None:
     with served(device=RailDevice(drive_node=6, strip_node=5)) as bench:
-        rail = CanopenRail(options_of(bench), SlowClock())
+        rail = CanopenRail(options_of(bench), EventClock(bench.server._time))
         found = refusal(rail.connect)
         assert (found.code, found.fields["drive_node"]) == ("HC-R08", 5)
         assert "exchanged" in found.found
@@ -175,14 +156,10 @@ def test_after_homing_drive_and_strip_agree(method: Any, sign: Any) -> None:
         home_offset_sign=sign if method == 37 else 1,
     )
     home_mm = {17: 3000.0}.get(method, 0.0)
-    with served(speed=FAST, device=device) as bench:
-        options = options_of(bench, counts_per_mm=-1000.0, homing=method, home_mm=home_mm)
-        rail = CanopenRail(options, FastClock())
-        rail.connect()
+    with connected(device, counts_per_mm=-1000.0, homing=method, home_mm=home_mm) as (rail, _):
         rail.home()
         reading = rail.settle()
         assert reading.position_mm == pytest.approx(reading.strip_mm, abs=0.8)
         inwards_mm = -2.0 if home_mm else 2.0
         trace = rail.jog(inwards_mm, bound_mm=4.0, speed_mm_s=5.0)
         assert trace.strip_mm[-1] - trace.strip_mm[0] == pytest.approx(inwards_mm, abs=0.5)
-        rail.close()
