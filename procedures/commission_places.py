@@ -241,7 +241,7 @@ class FindBase(_Proving):
             moved_rad[0] += np.radians(WIGGLE_DEG)
             jogged(session, moved_rad, safe_rad, f"flange {number} turned")
             stayed = self._is_at(session, f"flange {number} stayed", np.array(place.xyz_mm))
-            jogged(session, safe_rad, moved_rad, f"flange {number} back")
+            session.park_robot()
             if not stayed:
                 return place
             others.append(place)

@@ -258,4 +258,5 @@ COMMISSION_PROOF = Procedure(
     "commissioning: a first pass of the cube, a correction, a stop",
     (Home(), WorldFrame(), HoldStation(), BaseFrame(), FirstPass(), StopRobot()),
     proved_table,
+    by_hand="watch the first motions at the E-stop",
 )

@@ -268,5 +268,6 @@ COMMISSION_RAIL = Procedure(
     "commissioning: the rail by small jogs, each judged before the next",
     (RailJogs(), RailReference()),
     proved_table,
+    by_hand="watch the first motions at the E-stop",
     of_rail=True,
 )

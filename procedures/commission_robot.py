@@ -230,4 +230,5 @@ COMMISSION_ROBOT = Procedure(
     "commissioning: each axis of the robot by a degree",
     (JogAxes(),),
     proved_table,
+    by_hand="watch the first motions at the E-stop",
 )

@@ -47,13 +47,19 @@ def run(args: Order) -> int:
 
 
 def refuse_unproved(args: Order) -> None:
-    """Raise `HilcellError` for a cell file with assumed places, except to commission it."""
-    path = Path(args.cell)
-    if args.cell in built_in_cells() or args.procedure.startswith("commission-"):
+    """Raise `HilcellError` for a cell file with assumed places, and for a step of commissioning
+    before which another is not proved.
+    """
+    if args.cell in built_in_cells():
         return
-    from hilcell.commission.steps import check_proved  # loads what edits cell files
+    from hilcell.commission.steps import STEPS, check_proved, steps_to_perform  # edits cell files
 
-    check_proved(path)
+    path = Path(args.cell)
+    step = next((each.name for each in STEPS if each.procedure == args.procedure), "")
+    if step:
+        steps_to_perform(path, "", step)
+    else:
+        check_proved(path)
 
 
 def resume(args: Resume) -> int:

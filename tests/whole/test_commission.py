@@ -68,11 +68,14 @@ def test_an_unknown_hall_is_commissioned_calibrated_and_prepared(tmp_path: Path)
     file, sheet = tmp_path / "mycell.toml", tmp_path / "hall"
     words = ("--cell", "unknown", "--seed", "7", "--speed", "max", "--truth")
     with sim_command(*words, "--sheet", str(sheet), "--ports", FREE_PORTS) as simulation:
-        hall = json.loads((sheet / "hall.json").read_text())
+        hall, runs = json.loads((sheet / "hall.json").read_text()), ("--runs", tmp_path / "runs")
         done = commission(file, answers(hall, sheet / "nests.csv"))
         assert done.returncode == 0, done.stderr[-3000:]
         assert f"this cell is ready to calibrate: hilcell run --cell {file}" in done.stderr
         assert {step.step for step in Commissioned.read(file).steps} == {s.name for s in STEPS}
+        for run in sorted((tmp_path / "runs").glob("*commission*")):
+            checked = hilcell("show", run.name, "--check", *runs)
+            assert checked.returncode == 0, checked.stdout
         questions = int(done.stderr.rpartition(" questions")[0].rpartition("\n")[2])
         assert questions <= MOST_QUESTIONS
 
@@ -84,7 +87,6 @@ def test_an_unknown_hall_is_commissioned_calibrated_and_prepared(tmp_path: Path)
         assert found_mm < 2.0
         assert np.degrees(np.abs(np.array(truth["T_W_B"])[:3, :3] - base[:3, :3])).max() < 0.5
 
-        runs = ("--runs", tmp_path / "runs")
         ran = hilcell("run", "--cell", file, *runs, "--name", "first")
         assert ran.returncode == 0, ran.stderr[-3000:]
         drawing = holes(cell, tmp_path / "holes.csv")
