@@ -331,6 +331,9 @@ class Checker(RecordedRun):
                 yield self._young("the motion before began", age_s)
             case events.StreamRecorded(key=key):
                 yield from self._followed(key)
+            case events.SlideJogged(key=key):
+                ordered = self.last is not None and self.last.action == "rail.jog"
+                yield "I1", ordered, f"{key}: the slide was jogged by no admitted motion"
             case events.StepBegun(name=name):
                 here = [key for key, session in self.unverified.items() if session == self.session]
                 yield from self._closed(f"step {name}", here)

@@ -48,8 +48,13 @@ def slid(by_mm: float) -> Doctored:
     return journal
 
 
+JOGGED = event(
+    "jogged", "slide jogged", key="5 mm", distance_mm=5.0, bound_mm=9.0, speed_mm_s=2.0,
+    stopped_by="", taken_s=[0.0], drive_mm=[0.0], strip_mm=[0.0], velocity_mm_s=[0.0],
+)  # fmt: skip
 CASES: list[tuple[str, Doctored]] = [
     ("I1", Doctored().after("point 1", rail("not parked", 1))),
+    ("I1", Doctored().after("point 1", JOGGED)),
     ("I1", Doctored().change("approach", seen__still=False)),
     ("I1", Doctored().change("approach", seen__joints_deg=[0.0, -99.8, 110.0, 0.0, -30.0, 0.0])),
     ("I1", Doctored().change("approach", seen__joints_deg=[NAN, -100.0, 110.0, 0.0, -30.0, 0.0])),

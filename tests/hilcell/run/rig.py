@@ -21,6 +21,7 @@ from hilcell.ports import (
     Identity,
     LinkStatistics,
     RailReading,
+    RailTrace,
     RobotReading,
     Stopped,
     TrackerReading,
@@ -54,6 +55,7 @@ class DeskRail:
         self.stopped_s: float | None = None
         self.ended_s: float | None = None
         self.closed = 0
+        self.jogs: list[tuple[float, float]] = []  # distance and bound, mm
         self.link = LinkStatistics(frames=1000)
         self.identity = Identity("Rail", "desk", "1", "memory", simulated=True)
 
@@ -65,6 +67,22 @@ class DeskRail:
 
     def move_to(self, position_mm: float) -> None:
         self.position_mm, self.powered, self.ended_s = position_mm, True, self.clock.pc_s()
+
+    def jog(
+        self,
+        distance_mm: float,
+        *,
+        bound_mm: float,
+        speed_mm_s: float,
+        stop_after_mm: float | None = None,
+    ) -> RailTrace:
+        self.jogs.append((distance_mm, bound_mm))
+        at_mm = np.array([self.position_mm, self.position_mm + distance_mm])
+        self.position_mm, self.powered = float(at_mm[1]), True
+        return RailTrace(np.array([0.0, 1.0]), at_mm, at_mm, np.zeros(2), "")
+
+    def rescaled(self, drive: float, strip: float, speed: float) -> dict[str, object]:
+        return {}
 
     def settle(self) -> RailReading:
         return self.read()

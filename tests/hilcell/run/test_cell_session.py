@@ -182,6 +182,23 @@ def test_the_rail_stays_where_the_robot_does_not_park(
     assert not bed.rail.powered
 
 
+def test_the_slide_jogs_only_with_the_robot_parked(
+    bed: Bed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bed.robot.joints_rad = HOME_RAD
+    monkeypatch.setattr(bed.robot, "move_to", lambda *_: bed.robot.read())
+
+    def jog(session: CellSession, number: int) -> None:
+        session.jog_rail("1", 5.0, bound_mm=9.0, speed_mm_s=2.0)
+
+    assert bed.fault_of(jog) == "HC-B32"
+    assert bed.rail.jogs == []
+    monkeypatch.undo()
+    assert bed.fault_of(jog) == ""
+    assert bed.rail.jogs == [(5.0, 9.0)]
+    assert not bed.rail.powered
+
+
 def test_joints_beyond_a_limit_are_never_commanded(bed: Bed) -> None:
     far_rad = HOME_RAD + np.radians([0, 0, 0, 0, 0, 400.0])
 
