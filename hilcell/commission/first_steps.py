@@ -18,7 +18,7 @@ from hilcell import ports
 from hilcell.cell.devices import GROUPS, driver_options, installed, load_entry, start_simulation
 from hilcell.cell.file import NO_RAIL, Cell, load_cell
 from hilcell.cell.layout import Nest
-from hilcell.cell.settings import SettingsError, convert, read_text
+from hilcell.cell.settings import SettingsError, read_file
 from hilcell.clock import WallClock
 from hilcell.commission.cell_text import CellText
 from hilcell.commission.dialogue import Dialogue, number, word
@@ -30,6 +30,7 @@ from hilcell.commission.draft import (
     write_travel,
 )
 from hilcell.commission.record import Check
+from hilcell.compensation.targets import read_named_rows
 from hilcell.decoding import Json
 from hilcell.errors import HilcellError
 
@@ -211,26 +212,16 @@ def option_names(kind: type) -> set[str]:
 
 
 def drawing(answer: str) -> list[Json]:
-    """Return the nests of a CSV file; raises `ValueError`."""
+    """Return the nests of a list (docs/lists.md); raises `ValueError`."""
+    path, header, least = Path(answer), [*Nest.__struct_fields__], 3
     try:
-        lines = read_text(Path(answer)).splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{answer}: {error}") from error
-    header, *rows = [[each.strip() for each in line.split(",")] for line in lines if line.strip()]
-    if header != [*Nest.__struct_fields__]:
-        raise ValueError(f"{answer}: expected the header {','.join(Nest.__struct_fields__)}")
-    nests: list[Json] = []
-    for row in rows:
-        try:
-            name, *xyz = row
-            nest = dict(zip(header, [name, *map(float, xyz)], strict=True))
-            convert(nest, Nest, answer)
-        except (ValueError, SettingsError) as error:
-            raise ValueError(f"{answer}: {','.join(row)}: {error}") from error
-        nests.append(nest)
-    if len(nests) < 3:
-        raise ValueError(f"{answer}: expected three or more nests, got {len(nests)}")
-    return nests
+        rows = read_named_rows(path, read_file(path), [header], "nests")
+    except SettingsError as error:
+        raise ValueError(str(error)) from error
+    if len(rows.names) < least:
+        raise ValueError(f"{answer}: expected {least} or more nests, got {len(rows.names)}")
+    both = zip(rows.names, rows.values, strict=True)
+    return [dict(zip(header, [name, *xyz_mm], strict=True)) for name, xyz_mm in both]
 
 
 def addresses_of(address: str) -> Addresses:

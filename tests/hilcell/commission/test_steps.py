@@ -7,6 +7,7 @@ import pytest
 from hilcell.cell.devices import load_entry
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
+from hilcell.commission.first_steps import drawing
 from hilcell.commission.record import Commissioned, StepRecord
 from hilcell.commission.steps import STEPS, Step, check_proved, motions, steps_to_perform, unproved
 from hilcell.errors import HilcellError
@@ -64,3 +65,21 @@ def test_the_question_names_every_motion_and_the_speeds(step: Step) -> None:
         assert each.needs in question
     if moving:
         assert "the slide at 250 mm/s, the robot at 30 %" in question
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("name,x_mm,y_mm,z_mm\nF1,0,0,0\nF2,1,0,0\n", "expected 3 or more nests, got 2"),
+        ("name,x_mm,y_mm\nF1,0,0\n", "name,x_mm,y_mm,z_mm"),
+        ("name,x_mm,y_mm,z_mm\nF1,0,0,nan\nF2,1,0,0\nF3,0,1,0\n", "line 2: z_mm is 'nan'"),
+        ("", "nests.csv"),
+    ],
+)
+def test_a_drawing_of_nests_is_a_list_like_the_others(text: str, why: str, tmp_path: Path) -> None:
+    file = tmp_path / "nests.csv"
+    file.write_text(text)
+    with pytest.raises(ValueError, match=why):
+        drawing(str(file))
+    file.write_text("name;x_mm;y_mm;z_mm\nF1;0,5;0;0\n\nF2;1500;0;0\nF3;0;1500;0\n")
+    assert drawing(str(file))[0] == {"name": "F1", "x_mm": 0.5, "y_mm": 0.0, "z_mm": 0.0}
