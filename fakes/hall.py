@@ -1,8 +1,8 @@
 """A hall that nobody has measured: drawn from a seed about a cell file, and the sheet of it.
 
 The drawn cell is the truth, as a cell file; settings of its devices are sizes of its machine. The
-sheet has all that a person in the hall knows: makes, addresses, the drawing of the fixed nests in {W},
-the rail by tape, the clear zones. Each subject has draws of its own, so that a further one changes
+sheet has all that a person in the hall knows: makes, addresses, the drawing of the fixed nests in
+{W}, the rail by tape, the clear zones. Each subject has draws of its own, so that a further one changes
 no other.
 """
 
