@@ -2,8 +2,8 @@
 
 The drawn cell is the truth, as a cell file; settings of its devices are sizes of its machine. The
 sheet has all that a person in the hall knows: makes, addresses, the drawing of the fixed nests in
-{W}, the rail by tape, the clear zones. Each subject has draws of its own, so that a further one changes
-no other.
+{W}, the rail by tape, the clear zones. Each subject has draws of its own, so that a further one
+changes no other.
 """
 
 from __future__ import annotations
