@@ -17,6 +17,7 @@ from hilcell.cell.file import Cell, Pose
 from hilcell.decoding import Json
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.kinematics import forward
+from hilcell.identification.axis_directions import check_axes
 from hilcell.identification.places import (
     BaseFit,
     Recognition,
@@ -172,6 +173,7 @@ DIRECTION_MM = 1.0
 AXIS_DEG = (1.0, 8.0)
 MORE_POSES, MORE_DEG = 10, 15.0
 BASE_PERCENT = 5.0
+NOISE_MM, U_TOOL_MM = 0.05, 50.0  # of a place seen; of the reflector about the controller's tool
 FIT_MM = 3.0  # of a robot with nominal kinematics, rms
 ARM_U_MM = 2.0  # by which a real arm's zeros and lengths shift the base of a nominal one
 TOOL_MM = 3.0  # likewise, the reflector on the flange
@@ -308,6 +310,10 @@ class FindBase(_Proving):
             found = session.found_place(f"pose {number}", near_mm, SAMPLES, radius_mm=radius_mm)
             seen.append(found)
             joints_rad.append(np.radians(found.joints_deg))
+            if number == len(cell.robot.joint) and not self._judge_senses(
+                session, np.array(joints_rad), places_mm(seen)
+            ):
+                return None
             if number >= len(cell.robot.joint):
                 fit = self._fitted(cell, joints_rad, seen, 20.0)
                 if fit.rms_mm > FIT_MM and not self._judge_axes(session, fit):
@@ -326,6 +332,21 @@ class FindBase(_Proving):
             places_mm(seen),
             np.array(cell.robot.smr_mm),
             u_smr_mm,
+        )
+
+    @staticmethod
+    def _judge_senses(session: CellSession, joints_rad: Array, seen_mm: Array) -> bool:
+        """Judge the sense of each axis by a motion of 1 deg, before any larger one."""
+        robot = session.cell.robot
+        checked = check_axes(robot.arm(), joints_rad, seen_mm, NOISE_MM, robot.smr_mm, U_TOOL_MM)
+        wrong = [each.words for each in checked.verdicts if each.holds is False]
+        open_words = [each.words for each in checked.verdicts if each.holds is None]
+        return prove(
+            session,
+            "senses of the axes",
+            holds=checked.explained and not wrong,
+            found="; ".join(wrong or open_words or ["each axis turns as the model says"]),
+            expected="axes that turn as the cell file says",
         )
 
     @staticmethod
