@@ -98,25 +98,32 @@ def test_an_unknown_hall_is_commissioned_calibrated_and_prepared(tmp_path: Path)
         assert list((tmp_path / "monday").glob("*.src"))
 
 
-TRAPS = {  # the step that notices it, and its word
-    "drive-sign": ("rail", "opposite directions"),
-    "scale-10": ("rail", "DIFFERS"),
-    "wrong-tool": ("base", "enter the measured place as the tool"),
-    "tracker-upside-down": ("tracker", "upside down"),
-}
+# A trap in a hall, the step that names it, its words, and the drive's counts a mm then proved.
+TRAPS = [
+    ("drive-sign", 2, "rail", "opposite directions", -400.0),
+    ("scale-10", 3, "rail", "DIFFERS", -5000.0),
+    ("coupled-axis-3", 3, "controller", "axis 3 turns with axis 2 (coupled, -1)", -500.0),
+    ("tracker-upside-down", 3, "tracker", "upside down", -500.0),
+    ("wrong-tool", 3, "base", "enter the measured place as the tool", -500.0),
+]
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("trap", TRAPS)
-def test_a_trap_is_named(trap: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("trap", "seed", "step", "words", "counts_per_mm"), TRAPS)
+def test_a_trap_is_named(
+    trap: str, seed: int, step: str, words: str, counts_per_mm: float, tmp_path: Path
+) -> None:
+    """The strip counts up in the cell file; in hall 2 the drive counts up and the strip down."""
     file, sheet = tmp_path / "mycell.toml", tmp_path / "hall"
-    words = ("--cell", "unknown", "--seed", "3", "--speed", "max", "--trap", trap)
-    with sim_command(*words, "--sheet", str(sheet), "--ports", FREE_PORTS):
+    hall_words = ("--cell", "unknown", "--seed", str(seed), "--speed", "max", "--trap", trap)
+    with sim_command(*hall_words, "--sheet", str(sheet), "--ports", FREE_PORTS):
         hall = json.loads((sheet / "hall.json").read_text())
         done = commission(file, answers(hall, sheet / "nests.csv"))
-    step, word = TRAPS[trap]
-    _, _, said = done.stderr.partition(f", {step}: ")
-    assert word in said, done.stderr[-3000:]
+    assert done.returncode == (1 if trap == "wrong-tool" else 0), done.stderr[-2000:]
+    said = done.stderr.partition(f", {step}: ")[2].partition("\nstep ")[0]
+    assert words in said
+    proved = load_cell(str(file)).rail.options["counts_per_mm"]
+    assert proved == pytest.approx(counts_per_mm, rel=5e-3)
 
 
 def test_the_steps_are_listed_without_a_file(tmp_path: Path) -> None:
