@@ -55,6 +55,14 @@ class BaseFrame:
     measures = "the flange reflector on two circles"
     yields = "the robot base in {W}"
 
+    def announced(self, cell: Cell) -> str:
+        table = cell.base_frame
+        first, sixth = (
+            "from {:g} to {:g} deg".format(*sweep_deg)
+            for sweep_deg in (table.axis_1_sweep_deg, table.axis_6_sweep_deg)
+        )
+        return f"the robot to the start of each circle, axis 1 {first}, axis 6 {sixth}, each alone"
+
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse sweeps that leave the joint limits or come too near to a volume."""
         check_circles(cell, cell.reference)

@@ -35,6 +35,10 @@ class Stations(Step):
     measures = "the strip, and the nests on the slide"
     yields = "stations that the strip holds and the tracker sees"
 
+    def announced(self, cell: Cell) -> str:
+        places = ", ".join(f"{each.name} {each.strip_mm:.0f}" for each in cell.station)
+        return f"the slide to every station ({places} mm of the strip), the robot parked"
+
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         each_s = len(cell.layout.slide) * plan.measure_s(cell, SAMPLES)
         seconds = sum(
@@ -48,6 +52,15 @@ class Stations(Step):
         for station in session.cell.station:
             if f"commissioning.station {station.name}" not in session.log.verdicts:
                 self._visit(session, station)
+        held = [name for name in session.log.verdicts if name.startswith("commissioning.station ")]
+        prove(
+            session,
+            "stations",
+            holds=len(held) == len(session.cell.station),
+            found=f"{len(held)} stations visited",
+            expected="every station of the cell file",
+            values={"station": session.cell.station},
+        )
 
     def _visit(self, session: CellSession, station: Station) -> None:
         cell = session.cell
@@ -90,6 +103,10 @@ class FirstPass(Step):
     yields = "a robot that reaches its cube, and a correction that goes the right way"
 
     RIGHT_WAY = 0.5  # largest share of the error that a correction may leave
+
+    def announced(self, cell: Cell) -> str:
+        size = " x ".join(f"{each:g}" for each in cell.grid.size_mm)
+        return f"the robot to the corners of its cube, {size} mm, at {cell.robot.speed_percent:g} %"
 
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         joints_rad = plan.check_targets(

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from hilcell.cell.devices import jogging_rail
 from hilcell.cell.file import Cell
+from hilcell.commission.draft import SURVEY_MM, UNPLACED_MM
 from hilcell.identification.rail_motion import GROSS, JogFigures, jog_figures, stop_figures
 from hilcell.journal.log import Log
 from hilcell.model.events import SlideJogged
@@ -235,20 +236,23 @@ class RailReference(Step):
             "rail.travel_min_mm": low_mm,
             "rail.travel_max_mm": high_mm,
             "survey.from_mm": places[0],
-            "survey.to_mm": places[0] + 300.0,
+            "survey.to_mm": round(places[0] + SURVEY_MM, 1),
             "station": [
                 {"name": f"S{n}", "rail_mm": at_mm, "strip_mm": at_mm}
                 for n, at_mm in enumerate(places, start=1)
             ],
         }
         inside = table.travel_min_mm <= rail.strip_mm <= table.travel_max_mm
+        unplaced = table.travel_min_mm < UNPLACED_MM < table.travel_max_mm
         prove(
             session,
             "travel",
-            holds=inside,
+            holds=inside or unplaced,
             found=f"the slide stands at {rail.strip_mm:.2f} mm by the strip",
-            expected=f"{table.travel_min_mm:g} .. {table.travel_max_mm:g} mm",
-            values={} if inside else placed,
+            expected=f"{room_mm:g} mm free each way"
+            if unplaced
+            else f"{table.travel_min_mm:g} .. {table.travel_max_mm:g} mm",
+            values=placed if unplaced else {},
         )
         off_mm = rail.position_mm - rail.strip_mm
         prove(

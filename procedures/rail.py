@@ -175,6 +175,10 @@ class HoldStation(Step):
     measures = "the strip, one slide nest"
     yields = "a held station"
 
+    def announced(self, cell: Cell) -> str:
+        station = cell.reference
+        return f"the slide to {station.name}, {station.strip_mm:.0f} mm of the strip; robot parked"
+
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         return PlannedStep.of_spans(self.name, 0, first_hold(cell, cell.reference))
 

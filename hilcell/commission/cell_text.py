@@ -84,10 +84,9 @@ class CellText:
         if key in table and table[key].unwrap() == value:
             return
         item = _item(value, inline=bool(tables) and tables[0] in IN_ONE_LINE)
-        if comment and isinstance(item, (AoT, Table)):
-            if key not in table:
-                table.add(tomlkit.comment(comment))
-        elif comment:
+        if comment and isinstance(item, AoT):
+            next(iter(item[0].values())).comment(comment)
+        elif comment and not isinstance(item, Table):
             item.comment(comment)
         table[key] = item
 

@@ -89,14 +89,17 @@ class Commissioned(Struct, frozen=True, kw_only=True):
     def changed(self, step: str, text: CellText) -> Sequence[str]:
         """Return the paths whose values are no longer those that the step proved.
 
-        A later step may have proved another value.
+        A value belongs to the last step that has proved it.
         """
-        proved: Json = {}
+        proved: dict[str, tuple[str, object]] = {}
         for each in self.steps:
-            proved |= each.values if each.holds else {}
-        last = self.last(step)
-        paths = () if last is None else last.values
-        return [path for path in paths if text.get(path) != proved[path]]
+            if each.holds:
+                proved |= {path: (each.step, value) for path, value in each.values.items()}
+        return [
+            path
+            for path, (owner, value) in proved.items()
+            if owner == step and text.get(path) != value
+        ]
 
 
 def record_path(cell: Path) -> Path:

@@ -6,7 +6,7 @@ step is repeated with them until it proves what the file says.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -22,7 +22,7 @@ from hilcell.commission.record import Check, Commissioned, StepRecord
 from hilcell.errors import HilcellError
 from hilcell.journal.log import Log
 from hilcell.model.verdicts import Proved
-from hilcell.run.procedure import Procedure
+from hilcell.run.procedure import Procedure, announced
 
 ABILITIES, LACKS = "abilities", "has not"
 REPEATS = 6  # of a step whose values are written and proved again
@@ -96,7 +96,7 @@ class Commissioning:
             Commissioned.read(self.path).add(record, self.path)
             self._show(step, record.checks)
             for path in changed:
-                self.dialogue.say(f"  {self.path.name}: {path} = {text.get(path)}")
+                self.dialogue.say(f"  {self.path.name}: {path} = {_shown(text.get(path))}")
             if record.holds:
                 return True
             if not changed:
@@ -174,17 +174,30 @@ class Commissioning:
         )
 
 
+def _shown(value: object) -> str:
+    """Return a value as a person reads it: a list of tables by their names."""
+    if isinstance(value, Mapping):
+        return str(value.get("name") or ", ".join(f"{key} {each}" for key, each in value.items()))
+    if isinstance(value, list):
+        return ", ".join(_shown(each) for each in value)
+    return str(value)
+
+
 def motions(cell: Cell, procedure: Procedure) -> str:
     """Return the question before a run that moves something, "" for one that moves nothing."""
     moving = [each for each in procedure.steps if each.moves != "nothing"]
     if not moving:
         return ""
-    needs = "; ".join(each.needs for each in moving)
-    moves = "; then ".join(each.moves for each in moving)
-    return (
-        f"needed: {needs}. It moves {moves}. Where no speed is given: the slide at "
-        f"{cell.rail.speed_mm_s:g} mm/s, the robot at {cell.robot.speed_percent:g} %. Is the cell "
-        "clear, and somebody at the E-stop?"
+    speeds = (
+        f"the slide at {cell.rail.speed_mm_s:g} mm/s, the robot at {cell.robot.speed_percent:g} %"
+    )
+    return "\n".join(
+        [
+            "it moves, in sequence:",
+            *[f"  {announced(each, cell)} (needs {each.needs})" for each in moving],
+            f"where no speed is given: {speeds}",
+            "is the cell clear, and somebody at the E-stop?",
+        ]
     )
 
 

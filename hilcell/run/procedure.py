@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Protocol, TypeAlias
+from typing import Protocol, TypeAlias, runtime_checkable
 
 import msgspec
 
@@ -78,6 +78,19 @@ class Step(Protocol):
     def result(self, log: Log) -> Result:
         """Compute this step's share of the result from the log alone."""
         return {}
+
+
+@runtime_checkable
+class Announces(Protocol):
+    """A step that states its motions in a cell: how far, and where to."""
+
+    def announced(self, cell: Cell) -> str:
+        """Return the motions as the text ``moves`` has them."""
+
+
+def announced(step: Step, cell: Cell) -> str:
+    """Return what a step moves in a cell, "nothing" for nothing."""
+    return step.announced(cell) if isinstance(step, Announces) else step.moves
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,12 +28,16 @@ def test_a_person_s_comments_order_and_values_stay() -> None:
     text.set("rail.options.counts_per_mm", -500.0, "by a jog")
     text.set("rail.speed_mm_s", 100.0, "never written: the value is there")
     text.set("tracker.pose", {"x_mm": 1.0, "a_deg": 2.0}, "by three nests")
-    text.set("station", [{"name": "S1", "rail_mm": 1.0}, {"name": "S2", "rail_mm": 2.0}])
+    text.set("station", [{"name": "S1", "rail_mm": 0.0}], "assumed")
+    stations = [{"name": "S1", "rail_mm": 1.0}, {"name": "S2", "rail_mm": 2.0}]
+    text.set("station", stations, "by the strip")
     lines = text.text.splitlines()
     assert lines[: len(WRITTEN.splitlines()) - 1] == WRITTEN.splitlines()[:-1]
     assert "counts_per_mm = -500.0 # by a jog" in lines
     assert "pose = {x_mm = 1.0, a_deg = 2.0} # by three nests" in lines
     assert [line for line in lines if line == "[[station]]"] == ["[[station]]"] * 2
+    assert "assumed" not in text.text
+    assert 'name = "S1" # by the strip' in lines
     assert CellText(text.text).values == text.values
 
 
@@ -70,6 +74,9 @@ def test_a_step_is_proved_while_the_file_has_its_values(tmp_path: Path) -> None:
     assert Commissioned.read(cell).status("rail", text) == "changed"
     Commissioned.read(cell).add(step("base", 3.0), cell)  # proves another value of the same key
     assert Commissioned.read(cell).status("rail", text) == "proved"
+    text.set("rail.options.scale", 4.0)
+    assert Commissioned.read(cell).status("rail", text) == "proved", "the value is that of base now"
+    assert Commissioned.read(cell).status("base", text) == "changed"
 
 
 def test_a_damaged_record_is_refused(tmp_path: Path) -> None:

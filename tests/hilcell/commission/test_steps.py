@@ -11,7 +11,7 @@ from hilcell.commission.first_steps import drawing
 from hilcell.commission.record import Commissioned, StepRecord
 from hilcell.commission.steps import STEPS, Step, check_proved, motions, steps_to_perform, unproved
 from hilcell.errors import HilcellError
-from hilcell.run.procedure import Procedure
+from hilcell.run.procedure import Procedure, announced
 
 NAMES = [step.name for step in STEPS]
 
@@ -57,14 +57,26 @@ def test_a_draft_of_assumed_places_drives_nothing_else(tmp_path: Path) -> None:
 @pytest.mark.parametrize("step", [step for step in STEPS if step.procedure], ids=lambda s: s.name)
 def test_the_question_names_every_motion_and_the_speeds(step: Step) -> None:
     procedure: Procedure = load_entry("procedures", step.procedure)
-    question = motions(load_cell("paper"), procedure)
+    cell = load_cell("paper")
+    question = motions(cell, procedure)
     moving = [each for each in procedure.steps if each.moves != "nothing"]
     assert bool(question) == bool(moving)
     for each in moving:
-        assert each.moves in question
-        assert each.needs in question
+        assert f"  {announced(each, cell)} (needs {each.needs})\n" in question
     if moving:
         assert "the slide at 250 mm/s, the robot at 30 %" in question
+
+
+def test_the_question_says_how_far_and_where_to() -> None:
+    question = motions(load_cell("paper"), load_entry("procedures", "commission-proof"))
+    for words in (
+        "its safe pose (A1 ",
+        "the slide to its reference at 100 mm/s",
+        "the slide to S",
+        "axis 1 from -75 to 75 deg, axis 6 from -165 to 165 deg",
+        "the corners of its cube, 900 x 900 x 900 mm, at 30 %",
+    ):
+        assert words in question
 
 
 @pytest.mark.parametrize(
