@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 from hilcell.cell.devices import jogging_rail
 from hilcell.cell.file import Cell
-from hilcell.commission.draft import SURVEY_MM, UNPLACED_MM
 from hilcell.identification.rail_motion import GROSS, JogFigures, jog_figures, stop_figures
 from hilcell.journal.log import Log
 from hilcell.model.events import SlideJogged
@@ -228,7 +227,7 @@ class RailReference(Step):
                 "which may be the end of its travel; clear the rail and stay at the E-stop"
             )
             session.home_rail()
-        rail, table = session.devices.rail.read(), session.cell.rail
+        rail, table, survey = session.devices.rail.read(), session.cell.rail, session.cell.survey
         room_mm = (table.travel_max_mm - table.travel_min_mm) / 2.0
         low_mm, high_mm = (round(rail.strip_mm + end * room_mm, 1) for end in (-1.0, 1.0))
         places = [round(rail.strip_mm + share * room_mm, 1) for share in STATIONS]
@@ -236,23 +235,22 @@ class RailReference(Step):
             "rail.travel_min_mm": low_mm,
             "rail.travel_max_mm": high_mm,
             "survey.from_mm": places[0],
-            "survey.to_mm": round(places[0] + SURVEY_MM, 1),
+            "survey.to_mm": round(places[0] + survey.to_mm - survey.from_mm, 1),
             "station": [
                 {"name": f"S{n}", "rail_mm": at_mm, "strip_mm": at_mm}
                 for n, at_mm in enumerate(places, start=1)
             ],
         }
         inside = table.travel_min_mm <= rail.strip_mm <= table.travel_max_mm
-        unplaced = table.travel_min_mm < UNPLACED_MM < table.travel_max_mm
         prove(
             session,
             "travel",
-            holds=inside or unplaced,
+            holds=inside or table.is_unplaced,
             found=f"the slide stands at {rail.strip_mm:.2f} mm by the strip",
             expected=f"{room_mm:g} mm free each way"
-            if unplaced
+            if table.is_unplaced
             else f"{table.travel_min_mm:g} .. {table.travel_max_mm:g} mm",
-            values=placed if unplaced else {},
+            values=placed if table.is_unplaced else {},
         )
         off_mm = rail.position_mm - rail.strip_mm
         prove(

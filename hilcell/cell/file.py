@@ -274,6 +274,9 @@ __all__ = [
 MOST_POINTS = 100_000  # of the grid, and of targets in it
 
 
+UNPLACED_MM = 1e5  # middle of a draft's travel: a place that no strip reads
+
+
 class Station(Frozen, frozen=True, kw_only=True):
     """A working position on the rail, defined by its strip reading."""
 
@@ -302,6 +305,11 @@ class RailTable(Frozen, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if self.driver != NO_RAIL:
             refuse_descending(self, "travel_min_mm", "travel_max_mm")
+
+    @property
+    def is_unplaced(self) -> bool:
+        """Whether the travel is a draft's, of a length alone."""
+        return self.travel_min_mm < UNPLACED_MM < self.travel_max_mm
 
     @property
     def hold_limit_mm(self) -> float:

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import math
 
-from hilcell.cell.file import Cell, load_cell
+from hilcell.cell.file import UNPLACED_MM, Cell, load_cell
 from hilcell.cell.source import built_in_cells
 from hilcell.commission.cell_text import CellText
 from hilcell.decoding import Json
 
 ASSUMED = "assumed; a later step measures it"
 SLIDE_RADIUS_MM = 400.0
-UNPLACED_MM = 1e5
 SURVEY_MM = 300.0
 MARGIN_MM = 30.0  # of a measure by tape
 
