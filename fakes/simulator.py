@@ -135,6 +135,7 @@ class UnknownCell(PaperCell):
     PORTS: Mapping[str, int] = MappingProxyType(
         {"rail": 29540, "robot": 7000, "tracker": 29541, "control": 29542}
     )
+    sheet: Mapping[str, str] = MappingProxyType({})  # of a hall that runs already
 
     def __init__(
         self,
@@ -145,7 +146,6 @@ class UnknownCell(PaperCell):
         **more: Any,
     ) -> None:
         """``ports`` that are not given are `PORTS`; 0 for a free one."""
-        self.sheet: Mapping[str, str] = {}
         if cell.simulation is not None and cell.simulation.address:
             super().__init__(cell, seed=seed, ports=ports, **more)
             return

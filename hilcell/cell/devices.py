@@ -21,8 +21,9 @@ import msgspec
 
 from hilcell import ports
 from hilcell.alarms.catalogue import CatalogueError, catalogue
-from hilcell.cell.file import Cell
+from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError, convert, did_you_mean
+from hilcell.cell.source import built_in_cells
 from hilcell.decoding import learn
 from hilcell.errors import EXIT_REFUSED, HilcellError, one_line, with_location
 
@@ -339,6 +340,27 @@ def placeholder_addresses(cell: Cell) -> dict[str, dict[str, object]]:
             other = f"socket://127.0.0.1:{n + len(GROUPS)}"  # not the drive's
             addresses[table]["strip"] = {"driver": "serial", "channel": other} | dict(strip)
     return addresses
+
+
+def load_measured(where: str, overrides: Mapping[str, str]) -> Cell:
+    """Read a cell as `load_cell`; refuse a hall of which no file has the places.
+
+    Raises `SettingsError`.
+    """
+    cell = load_cell(where, overrides)
+    running = cell.simulation is not None and cell.simulation.address
+    if draws_hall(cell) and (where in built_in_cells() or not running):
+        problem = "simulation.simulator: it draws a hall, and no cell file has the places of that"
+        act = "start it by `hilcell sim --cell unknown`, measure it by `hilcell commission "
+        raise SettingsError(where, [f"{problem}; {act}mycell.toml`, then use mycell.toml"])
+    return cell
+
+
+def draws_hall(cell: Cell) -> bool:
+    """Whether the cell's simulator, if installed, draws a hall of which only a sheet is known."""
+    name = "" if cell.simulation is None else cell.simulation.simulator
+    known = name in installed("simulators")
+    return known and isinstance(load_entry("simulators", name), ports.HasSheet)
 
 
 def is_replay(cell: Cell) -> bool:

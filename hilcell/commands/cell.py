@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 import signal
 import sys
@@ -13,11 +14,13 @@ from shlex import quote
 from typing import Any
 
 from hilcell.alarms.catalogue import entry_of
-from hilcell.atomic_files import write_together
+from hilcell.atomic_files import as_not_written, write_together
 from hilcell.cell.devices import (
     abilities,
     check_options,
+    draws_hall,
     load_entry,
+    load_measured,
     start_simulation,
     unknown_drivers,
 )
@@ -147,7 +150,7 @@ def check(args: Check) -> int:
 def _load_checked(where: str, overrides: dict[str, str]) -> Cell:
     """Return a valid cell; raises `SettingsError` with all problems, sorted by line."""
     try:
-        cell = load_cell(where, overrides)
+        cell = load_measured(where, overrides)
     except SettingsError as error:
         unknown = unknown_drivers(driver_names(where, overrides))
         problems = [*error.problems, *located(where, unknown, overrides).problems]
@@ -176,11 +179,17 @@ def sim(args: Sim) -> int:
     if args.traps:
         _print_traps(cell)
         return 0
+    drawn = draws_hall(cell)
+    if args.sheet is not None and not drawn:
+        raise HilcellError(f"cell {cell.name} has no sheet: its cell file states its places")
     more: dict[str, Any] = {"faults": args.faults, "truth": args.truth, "ports": args.ports or {}}
-    if args.trap and _with_traps(cell):
+    if args.trap:
+        _with_traps(cell)
         more["trap"] = args.trap
     seed = machine_seed(cell, args.seed, args.machine_seed)
-    simulated = start_simulation(cell, seed=seed, speed=args.speed, **more)
+    usual = math.inf if drawn else 1.0
+    speed = usual if args.speed is None else args.speed
+    simulated = start_simulation(cell, seed=seed, speed=speed, **more)
     if simulated is None:
         raise HilcellError(
             f"cell {cell.name} is real: it has no simulator; add --set simulation.simulator=paper",
@@ -194,12 +203,17 @@ def sim(args: Sim) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
     try:
-        sheet = simulated.sheet if isinstance(simulated, HasSheet) else {}
-        if args.sheet is not None:
-            _write_sheet(sheet, args.sheet, cell.name)
+        sheet = ""
+        next_steps = f"run --cell {quote(args.cell)} --set simulation.address={simulated.address}"
+        if isinstance(simulated, HasSheet) and simulated.sheet:
+            sheet = _write_sheet(simulated.sheet, args.sheet or Path("hall"))
+            next_steps = "commission mycell.toml"
         print_json(simulated.options | {"control": simulated.address})
         flush_data()
-        print_message(_next_steps(args.cell, sheet, simulated.address))
+        print_message(
+            f"{sheet}the simulated cell is running; in another terminal:\n  hilcell {next_steps}\n"
+            "ctrl-C ends it"
+        )
         if args.train and training is not None:
             train(training, ended)
         else:
@@ -209,22 +223,12 @@ def sim(args: Sim) -> int:
     return 0
 
 
-def _next_steps(where: str, sheet: Mapping[str, str], address: str) -> str:
-    """Return what a person does with a running cell, after the text of its sheet."""
-    text, command = "", f"run --cell {quote(where)} --set simulation.address={address}"
-    if sheet:
-        text, command = f"{next(iter(sheet.values()))}\n", "commission mycell.toml"
-    return (
-        f"{text}the simulated cell is running; in another terminal:\n  hilcell {command}\n"
-        "ctrl-C ends it"
-    )
-
-
-def _write_sheet(sheet: Mapping[str, str], folder: Path, name: str) -> None:
-    if not sheet:
-        raise HilcellError(f"cell {name} has no sheet: its cell file states its places")
-    folder.mkdir(parents=True, exist_ok=True)
+def _write_sheet(sheet: Mapping[str, str], folder: Path) -> str:
+    """Write the sheet of a hall, and return its text, which names the files."""
+    with as_not_written(folder):
+        folder.mkdir(parents=True, exist_ok=True)
     write_together({folder / file: text.encode() for file, text in sheet.items()})
+    return f"{next(iter(sheet.values()))}\nthis sheet is in {folder}: {', '.join(sheet)}\n"
 
 
 def diagram(args: Diagram) -> int:

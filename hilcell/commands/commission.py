@@ -8,6 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from queue import Queue
 
+from hilcell.cell.settings import SettingsError
+from hilcell.cell.source import built_in_cells
 from hilcell.commands.console import print_message, print_table
 from hilcell.commands.run_output import ProgressOutput, print_end
 from hilcell.commands.signatures import Commission
@@ -29,6 +31,9 @@ MOST_LINES = 1000  # typed ahead
 
 
 def commission(args: Commission) -> int:
+    if str(args.cell) in built_in_cells():
+        problem = "it is a built-in cell; name a file of your own, such as mycell.toml"
+        raise SettingsError(str(args.cell), [problem])
     if args.list:
         return _list(args.cell)
     lines: Queue[str | None] = Queue(MOST_LINES)

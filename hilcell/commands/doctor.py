@@ -32,9 +32,10 @@ from hilcell.cell.devices import (
     driver_options,
     installed,
     load_entry,
+    load_measured,
 )
 from hilcell.cell.differences import controller_differences
-from hilcell.cell.file import Cell, load_cell
+from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 from hilcell.clock import WallClock
 from hilcell.commands.console import print_data, print_json
@@ -295,7 +296,7 @@ def _drivers() -> Finding:
 
 def _devices(where: str, overrides: dict[str, str]) -> dict[str, Finding]:
     """Check the addresses of a cell's devices; raises `SettingsError`."""
-    cell = load_cell(where, overrides)
+    cell = load_measured(where, overrides)
     check_options(cell)
     if cell.simulation is not None:
         return {"cell": Finding("ok", f"{cell.name}: simulated; a run starts its devices")}

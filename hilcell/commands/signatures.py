@@ -297,16 +297,17 @@ class Sim(Signature):
     seed: int = option("seed of the machine (default: 1)", "N", parse_seed, default=1)
     machine_seed: int | None = MACHINE_SEED
     truth: bool = option("answer true values on the control channel (for tests)", default=False)
-    speed: float = option(
-        "a factor of real time, or unlimited (default: 1)",
+    speed: float | None = option(
+        "a factor of real time, or unlimited (default: 1; of cell unknown, max)",
         "X|max",
         parse_speed,
-        default=1.0,
+        default=None,
     )
     faults: str = option("TOML file of faults to inject (docs/training.md)", "FILE", default="")
     train: bool = option("training: inject faults from a menu", default=False)
     sheet: Path | None = option(
-        "write the hall's sheet: text, JSON and the drawing of the nests (cell unknown)",
+        "write the hall's sheet: text, JSON and the drawing of the nests (default: hall, of cell "
+        "unknown)",
         "FOLDER",
         parse_folder,
         default=None,

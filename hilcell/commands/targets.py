@@ -8,7 +8,8 @@ import numpy as np
 
 from hilcell.atomic_files import CSV, check_output
 from hilcell.calibration.tool_point import tip_named
-from hilcell.cell.file import Cell, load_cell
+from hilcell.cell.devices import load_measured
+from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.console import print_data, print_json, print_message, print_table
 from hilcell.commands.signatures import Compensate, Fit, Plan, Prepare
@@ -31,7 +32,7 @@ def prepare(args: Prepare) -> int:
     """Plan the holes within the calibration's volume, correct them, and write all files."""
     check_settings(args.cell, dict(args.settings))
     jobs = StationJobs.plan(
-        load_cell(args.cell, dict(args.settings)),
+        load_measured(args.cell, dict(args.settings)),
         args.calibration,
         Path(args.holes),
         args.release,
@@ -50,7 +51,7 @@ def prepare(args: Prepare) -> int:
 
 def plan(args: Plan) -> int:
     """Print the fewest stations for the holes, and their orders with a lower bound on travel."""
-    cell = load_cell(args.cell, dict(args.settings))
+    cell = load_measured(args.cell, dict(args.settings))
     volume = _calibrated_volume(args, cell)
     holes = read_holes(Path(args.holes), tip_named(cell, args.tool).T_D_T)
     for warning in holes.warnings:
@@ -130,7 +131,7 @@ def _print_plan(cell: Cell, planned: HolePlan) -> None:
 def compensate(args: Compensate) -> int:
     check_settings(args.cell, dict(args.settings))
     job = StationTargets.plan(
-        load_cell(args.cell, dict(args.settings)) if args.cell else None,
+        load_measured(args.cell, dict(args.settings)) if args.cell else None,
         args.calibration,
         Path(args.targets),
         args.release,

@@ -85,14 +85,14 @@ class Order(Signature):
         """
         # `--help` does without these.
         from hilcell.calibration.lookup import calibrated_machine, with_calibration
-        from hilcell.cell.devices import check_options, check_replay, load_entry
+        from hilcell.cell.devices import check_options, check_replay, load_entry, load_measured
         from hilcell.cell.differences import check_identity
-        from hilcell.cell.file import load_cell, located
+        from hilcell.cell.file import located
         from hilcell.cell.settings import SettingsError
         from hilcell.journal.runs import check_space, new_run
         from hilcell.run import run_plan
 
-        cell = load_cell(self.cell, dict(self.settings))
+        cell = load_measured(self.cell, dict(self.settings))
         run_plan.check_of_simulator(cell, "--speed", self.speed)
         run_plan.check_of_simulator(cell, "--machine-seed", self.machine_seed)
         if warning := check_identity(self.cell, cell):

@@ -370,10 +370,14 @@ def simulation(
 
 
 @contextmanager
-def sim_command(*words: str) -> Iterator[Simulation]:
+def sim_command(*words: str, cwd: Path | None = None) -> Iterator[Simulation]:
     """Run ``hilcell sim`` beside the test."""
     process = subprocess.Popen(
-        [*HILCELL, "sim", *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        [*HILCELL, "sim", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        cwd=cwd,
     )
     try:
         assert process.stdout is not None

@@ -66,8 +66,8 @@ def holes(cell: Cell, path: Path) -> Path:
 
 def test_an_unknown_hall_is_commissioned_calibrated_and_prepared(tmp_path: Path) -> None:
     file, sheet = tmp_path / "mycell.toml", tmp_path / "hall"
-    words = ("--cell", "unknown", "--seed", "7", "--speed", "max", "--truth")
-    with sim_command(*words, "--sheet", str(sheet), "--ports", FREE_PORTS) as simulation:
+    words = ("--cell", "unknown", "--seed", "7", "--truth", "--ports", FREE_PORTS)
+    with sim_command(*words, cwd=tmp_path) as simulation:
         hall, runs = json.loads((sheet / "hall.json").read_text()), ("--runs", tmp_path / "runs")
         done = commission(file, answers(hall, sheet / "nests.csv"))
         assert done.returncode == 0, done.stderr[-3000:]
@@ -130,6 +130,11 @@ def test_the_steps_are_listed_without_a_file(tmp_path: Path) -> None:
     done = hilcell("commission", tmp_path / "mycell.toml", "--list")
     assert done.returncode == 0
     assert done.stdout.count("open") == len(STEPS)
+
+
+def test_a_built_in_cell_is_not_commissioned() -> None:
+    done = hilcell("commission", "unknown")
+    assert (done.returncode, "mycell.toml" in done.stderr) == (2, True)
 
 
 @pytest.mark.parametrize("option", ["--from", "--only"])

@@ -33,6 +33,7 @@ def free_port() -> int:
     ("words", "part"),
     [
         (["--cell", "papper"], "papper"),
+        (["--cell", "unknown"], "hilcell sim --cell unknown"),
         (["--set", "rail.sped_mm_s=3.0"], "speed_mm_s"),
         (["--set", "rail.speed_mm_s=nan"], "rail.speed_mm_s"),
         (["--set", "rail.options.chanel=x"], "channel"),
@@ -52,6 +53,29 @@ def test_refused_before_anything_starts(tmp_path: Path, words: list[str], part: 
     assert not (tmp_path / "runs").exists()
     if "calibrat" not in words:
         assert command("check", *[w for w in words if w != "--cell"] or ["x"]).returncode == 2
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "run recheck",
+        "plan holes.csv",
+        "prepare holes.csv --calibration last -o monday",
+        "compensate last holes.csv --station S1 -o out.csv",
+        "doctor",
+    ],
+)
+def test_a_hall_that_nobody_has_measured_is_commissioned_first(words: str) -> None:
+    done = command(*words.split(), "--cell", "unknown")
+    assert (done.returncode, "hilcell commission mycell.toml" in done.stderr) == (2, True)
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("cell", ["paper", "unknown"])
+def test_a_sheet_is_refused_before_a_hall_starts(cell: str, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    done = command("sim", "--cell", cell, "--sheet", tmp_path / "file/hall", "--ports", "control=0")
+    assert (done.returncode, done.stdout) == (2, "")
 
 
 RECORDED = "--set simulation.simulator=recorded --set simulation.data="
