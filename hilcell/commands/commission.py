@@ -14,9 +14,16 @@ from hilcell.commands.console import print_message, print_table
 from hilcell.commands.run_output import ProgressOutput, print_end
 from hilcell.commands.signatures import Commission
 from hilcell.commission.cell_text import CellText
-from hilcell.commission.dialogue import Dialogue
+from hilcell.commission.dialogue import TypedDialogue
 from hilcell.commission.record import Commissioned, record_path
-from hilcell.commission.steps import STEPS, Commissioning, Step, steps_to_perform, unproved
+from hilcell.commission.steps import (
+    STEPS,
+    Commissioning,
+    Step,
+    StepEnded,
+    standing,
+    steps_to_perform,
+)
 from hilcell.errors import EXIT_OK, EXIT_OUT_OF_TOLERANCE, HilcellError
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
@@ -38,15 +45,12 @@ def commission(args: Commission) -> int:
         return _list(args.cell)
     lines: Queue[str | None] = Queue(MOST_LINES)
     threading.Thread(target=_read, args=(lines,), name="keyboard", daemon=True).start()
-    dialogue = Dialogue(lines, print_message)
+    dialogue = TypedDialogue(lines, print_message)
     work = Commissioning(
         args.cell, dialogue, args.operator, lambda name: _run(name, args, dialogue)
     )
     proved = work.perform(steps_to_perform(args.cell, args.first, args.only))
-    if left := unproved(args.cell):
-        print_message(f"not proved yet: {', '.join(left)}")
-    else:
-        print_message(f"this cell is ready to calibrate: hilcell run --cell {args.cell}")
+    print_message(standing(args.cell))
     print_message(f"{dialogue.questions} questions; the record is {record_path(args.cell)}")
     return EXIT_OK if proved else EXIT_OUT_OF_TOLERANCE
 
@@ -72,22 +76,10 @@ def _read(lines: Queue[str | None]) -> None:
     lines.put(None)
 
 
-class StepEnded(HilcellError):
-    """The run of a step has ended early; the command ends with its exit code."""
-
-    code = "HC-C40"
-
-    def __init__(self, procedure: str, exit_code: int) -> None:
-        super().__init__(
-            f"{procedure} ended early; mend the cause, then the same command goes on with this step"
-        )
-        self.exit_code = exit_code
-
-
 class _AnsweringOutput(ProgressOutput):
     """Shows a run's progress; a line typed while it waits answers it."""
 
-    def __init__(self, folder: Path, points: int, dialogue: Dialogue) -> None:
+    def __init__(self, folder: Path, points: int, dialogue: TypedDialogue) -> None:
         super().__init__(folder, points)
         self._run, self._dialogue = folder, dialogue
         self._waits, self._ended = threading.Event(), threading.Event()
@@ -130,7 +122,7 @@ class _AnsweringOutput(ProgressOutput):
                 print_message(str(error))
 
 
-def _run(procedure: str, args: Commission, dialogue: Dialogue) -> tuple[str, Log]:
+def _run(procedure: str, args: Commission, dialogue: TypedDialogue) -> tuple[str, Log]:
     """Run a procedure on the cell file to its end; return the run's name and its log."""
     ordered = Order(
         procedure=procedure, cell=str(args.cell), runs=args.runs, operator=args.operator

@@ -1,46 +1,65 @@
-"""Questions to the person at the terminal; a run that waits takes its lines from the same queue."""
+"""Questions to a person, and messages; a terminal and the screen show them in their own ways.
+
+At a terminal a run that waits takes its lines from the same queue.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from queue import Empty, Queue
-from typing import TypeVar
+from types import MappingProxyType
+from typing import NamedTuple, TypeVar
 
+from hilcell.commission.record import StepRecord
 from hilcell.errors import HilcellError
 
 T = TypeVar("T")
 TRIES = 5
 
 
-class Dialogue:
-    """Asks on ``say`` and takes answers from ``lines``, None at their end.
+class Question(NamedTuple):
+    """One question; ``choices``: the answers with their texts; ``motion``: something moves then."""
 
-    ``questions`` counts what was asked; ``real``: motions need the whole word "yes".
-    """
+    text: str
+    default: str = ""
+    choices: Mapping[str, str] = MappingProxyType({})
+    motion: bool = False
 
-    def __init__(self, lines: Queue[str | None], say: Callable[[str], object]) -> None:
-        self._lines, self.say = lines, say
+
+class Dialogue(ABC):
+    """Asks, parses and counts; ``real``: motions need the whole word "yes"."""
+
+    def __init__(self) -> None:
         self.questions = 0
-        self._over = False  # the input has ended
         self.real = True
+
+    @abstractmethod
+    def say(self, text: str) -> None:
+        """Tell one line."""
+
+    @abstractmethod
+    def begin(self, step: str, title: str, number: int, of: int) -> None:
+        """Tell which step begins."""
+
+    @abstractmethod
+    def show(self, record: StepRecord, lines: Sequence[str]) -> None:
+        """Show what a step has proved; ``lines`` is that in short."""
+
+    @abstractmethod
+    def answered(self, question: Question) -> str:
+        """Put a question and return the answer without outer blanks.
+
+        Raises `HilcellError` where none can come. To a question of a motion it was typed after it.
+        """
 
     def ask(self, question: str, parse: Callable[[str], T], default: str = "") -> T:
         """Return a parsed answer; asks again where ``parse`` raises `ValueError`."""
-        self.questions += 1
-        for _ in range(TRIES):
-            self.say(f"{question}{f' [{default}]' if default else ''}")
-            answer = self._line() or default
-            try:
-                return parse(answer)
-            except ValueError as error:
-                self.say(f"{error}")
-        raise HilcellError(f"{question} has no valid answer after {TRIES} tries", code="HC-C40")
+        return self._parsed(Question(question, default), parse)
 
     def choose(self, question: str, choices: Mapping[str, str], default: str = "") -> str:
         """Return one of the choices, by its number or its name; ``choices`` have their texts."""
         names = list(choices)
-        for number, name in enumerate(names, start=1):
-            self.say(f"  {number}  {name}: {choices[name]}")
 
         def parse(answer: str) -> str:
             if answer in choices:
@@ -49,14 +68,13 @@ class Dialogue:
                 return names[int(answer) - 1]
             raise ValueError(f"expected 1 to {len(names)}, or a name, got {answer!r}")
 
-        return self.ask(question, parse, default or (names[0] if len(names) == 1 else ""))
+        default = default or (names[0] if len(names) == 1 else "")
+        return self._parsed(Question(question, default, choices), parse)
 
     def agree(self, question: str) -> bool:
-        """Return whether the person agrees; real devices need a whole "yes", typed after it."""
+        """Return whether the person agrees to a motion."""
         self.questions += 1
-        self.say(f"{question} ({self.how}; another answer moves nothing)")
-        self.drop_typed_ahead()
-        return self.agrees(self._line())
+        return self.agrees(self.answered(Question(question, motion=True)))
 
     @property
     def how(self) -> str:
@@ -65,6 +83,46 @@ class Dialogue:
 
     def agrees(self, line: str) -> bool:
         return line.strip().lower() in (("yes",) if self.real else ("", "y", "yes"))
+
+    def _parsed(self, question: Question, parse: Callable[[str], T]) -> T:
+        self.questions += 1
+        for _ in range(TRIES):
+            try:
+                return parse(self.answered(question) or question.default)
+            except ValueError as error:
+                self.say(f"{error}")
+        raise HilcellError(
+            f"{question.text} has no valid answer after {TRIES} tries", code="HC-C40"
+        )
+
+
+class TypedDialogue(Dialogue):
+    """Asks on ``tell`` and takes answers from ``lines``, None at their end."""
+
+    def __init__(self, lines: Queue[str | None], tell: Callable[[str], object]) -> None:
+        super().__init__()
+        self._lines, self._tell = lines, tell
+        self._over = False  # the input has ended
+
+    def say(self, text: str) -> None:
+        self._tell(text)
+
+    def begin(self, step: str, title: str, number: int, of: int) -> None:
+        self.say(f"step {number} of {of}, {step}: {title}")
+
+    def show(self, record: StepRecord, lines: Sequence[str]) -> None:
+        for line in lines:
+            self.say(f"  {line}")
+
+    def answered(self, question: Question) -> str:
+        for number, (name, text) in enumerate(question.choices.items(), start=1):
+            self.say(f"  {number}  {name}: {text}")
+        default = f" [{question.default}]" if question.default else ""
+        how = f" ({self.how}; another answer moves nothing)" if question.motion else ""
+        self.say(f"{question.text}{default}{how}")
+        if question.motion:
+            self.drop_typed_ahead()
+        return self._line()
 
     def drop_typed_ahead(self) -> None:
         """Forget what was typed before a question of which real devices move."""

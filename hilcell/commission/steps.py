@@ -76,7 +76,7 @@ class Commissioning:
     def perform(self, steps: Sequence[Step]) -> bool:
         """Perform steps in sequence up to the first that does not prove; return whether all did."""
         for number, step in enumerate(steps, start=1):
-            self.dialogue.say(f"step {number} of {len(steps)}, {step.name}: {step.title}")
+            self.dialogue.begin(step.name, step.title, number, len(steps))
             if not self._perform(step):
                 return False
         return True
@@ -94,9 +94,8 @@ class Commissioning:
                 text.write(self.path)
                 load_cell(str(self.path))
             Commissioned.read(self.path).add(record, self.path)
-            self._show(step, record.checks)
-            for path in changed:
-                self.dialogue.say(f"  {self.path.name}: {path} = {_shown(text.get(path))}")
+            written = [f"{self.path.name}: {path} = {_shown(text.get(path))}" for path in changed]
+            self.dialogue.show(record, [*lines_of(record), *written])
             if record.holds:
                 return True
             if not changed:
@@ -108,16 +107,6 @@ class Commissioning:
             "the same command goes on here"
         )
         return False
-
-    def _show(self, step: Step, checks: Sequence[Check]) -> None:
-        """Print the checks; of a device's many abilities only those that it lacks."""
-        shown = checks
-        if step.name == ABILITIES:
-            shown = [each for each in checks if each.found.startswith(LACKS)]
-            self.dialogue.say(f"  {len(checks)} abilities, {len(shown)} of them lacking")
-        for each in shown:
-            mark = "" if each.holds else " DIFFERS:"
-            self.dialogue.say(f"  {each.what}:{mark} {each.found}; expected {each.expected}")
 
     def _agree(self, step: Step) -> None:
         """Ask before anything moves; raises `HilcellError` without agreement."""
@@ -137,18 +126,7 @@ class Commissioning:
         if not step.procedure:
             return self._record(step, self._without_run(step))
         run, log = self.run(step.procedure)
-        checks = [
-            Check(
-                what=key.partition(".")[2],
-                found=verdict.found,
-                expected=verdict.expected,
-                holds=verdict.holds,
-                values=verdict.values,
-            )
-            for key, verdict in log.verdicts.items()
-            if isinstance(verdict, Proved)
-        ]
-        return self._record(step, checks, run)
+        return self._record(step, checks_of(log), run)
 
     def _without_run(self, step: Step) -> list[Check]:
         if step.name == "devices":
@@ -183,6 +161,45 @@ def _shown(value: object) -> str:
     return str(value)
 
 
+def checks_of(log: Log) -> list[Check]:
+    """Return what the run of a step has verified so far."""
+    return [
+        Check(
+            what=key.partition(".")[2],
+            found=verdict.found,
+            expected=verdict.expected,
+            holds=verdict.holds,
+            values=verdict.values,
+        )
+        for key, verdict in log.verdicts.items()
+        if isinstance(verdict, Proved)
+    ]
+
+
+def lines_of(record: StepRecord) -> list[str]:
+    """Return a line a check; of the devices' many abilities only those that they lack."""
+    lines, shown = [], record.checks
+    if record.step == ABILITIES:
+        shown = [each for each in record.checks if each.found.startswith(LACKS)]
+        lines = [f"{len(record.checks)} abilities, {len(shown)} of them lacking"]
+    for each in shown:
+        mark = "" if each.holds else " DIFFERS:"
+        lines.append(f"{each.what}:{mark} {each.found}; expected {each.expected}")
+    return lines
+
+
+class StepEnded(HilcellError):
+    """The run of a step has ended early; the command ends with its exit code."""
+
+    code = "HC-C40"
+
+    def __init__(self, procedure: str, exit_code: int) -> None:
+        super().__init__(
+            f"{procedure} ended early; mend the cause, then the same command goes on with this step"
+        )
+        self.exit_code = exit_code
+
+
 def motions(cell: Cell, procedure: Procedure) -> str:
     """Return the question before a run that moves something, "" for one that moves nothing."""
     moving = [each for each in procedure.steps if each.moves != "nothing"]
@@ -205,6 +222,13 @@ def unproved(path: Path) -> list[str]:
     """Return the steps that are not proved with the values that the cell file has."""
     record, text = Commissioned.read(path), CellText.read(path)
     return [step.name for step in STEPS if record.status(step.name, text) != "proved"]
+
+
+def standing(path: Path) -> str:
+    """Return what a cell file still lacks, or that its cell is ready."""
+    if left := unproved(path):
+        return f"not proved yet: {', '.join(left)}"
+    return f"this cell is ready to calibrate: hilcell run --cell {path}"
 
 
 def check_proved(path: Path) -> None:

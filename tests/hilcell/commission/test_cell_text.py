@@ -7,7 +7,7 @@ import pytest
 
 from hilcell.cell.settings import SettingsError
 from hilcell.commission.cell_text import CellText
-from hilcell.commission.dialogue import Dialogue, number
+from hilcell.commission.dialogue import TypedDialogue, number
 from hilcell.commission.record import Check, Commissioned, StepRecord
 from hilcell.errors import HilcellError
 
@@ -85,12 +85,12 @@ def test_a_damaged_record_is_refused(tmp_path: Path) -> None:
         Commissioned.read(tmp_path / "hall.toml")
 
 
-def asked(*lines: str | None) -> tuple[Dialogue, list[str]]:
+def asked(*lines: str | None) -> tuple[TypedDialogue, list[str]]:
     queue: Queue[str | None] = Queue()
     for line in lines:
         queue.put(line)
     said: list[str] = []
-    return Dialogue(queue, said.append), said
+    return TypedDialogue(queue, said.append), said
 
 
 def test_an_answer_out_of_range_is_asked_for_again() -> None:
@@ -122,7 +122,7 @@ def test_real_devices_move_by_the_whole_word(real: bool, answer: str, agreed: bo
 def test_an_answer_typed_before_its_question_moves_no_real_device() -> None:
     lines: Queue[str | None] = Queue()
     lines.put("yes\n")
-    dialogue = Dialogue(lines, lambda _: None)
+    dialogue = TypedDialogue(lines, lambda _: None)
     dialogue.drop_typed_ahead()
     assert lines.empty()
     dialogue.real = False
