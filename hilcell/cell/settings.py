@@ -132,6 +132,16 @@ def convert(
     return typing.cast("T", built)
 
 
+def check_values(values: Mapping[str, object], kind: type[msgspec.Struct], source: str) -> None:
+    """Check those values whose keys ``kind`` has, whatever is missing; raises `SettingsError`."""
+    problems: list[str] = []
+    for key, field in _fields(kind).items():
+        if key in values:
+            _value(values[key], field.type, key, problems)
+    if problems:
+        raise SettingsError(source, problems)
+
+
 def refuse(problems: Iterable[str]) -> None:
     """Refuse a table in its ``__post_init__`` for several reasons."""
     if lines := list(problems):

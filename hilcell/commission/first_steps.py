@@ -18,7 +18,7 @@ from hilcell import ports
 from hilcell.cell.devices import GROUPS, driver_options, installed, load_entry, start_simulation
 from hilcell.cell.file import NO_RAIL, Cell, load_cell
 from hilcell.cell.layout import Nest
-from hilcell.cell.settings import SettingsError, read_file
+from hilcell.cell.settings import SettingsError, check_values, read_file
 from hilcell.clock import WallClock
 from hilcell.commission.cell_text import CellText
 from hilcell.commission.dialogue import Dialogue, number, word
@@ -118,6 +118,7 @@ class WhichDevices:
         """Return the options of the device that answers, and its title."""
         if not issubclass(kind, ports.Discovers):
             return options, ", ".join(f"{key} {value}" for key, value in options.items()) or "none"
+        check_values(options, options_of(kind), f"{table}.options")
         candidates = kind.discover(options)
         for each in candidates:
             self._dialogue.say(f"{table}: {each.title}")
@@ -205,10 +206,15 @@ class WhichDevices:
             self._text.set(path, self._dialogue.ask(question, parse, default))
 
 
+def options_of(kind: type) -> type[msgspec.Struct]:
+    """Return the type of a driver's options."""
+    options: type[msgspec.Struct] = kind.Options  # type: ignore[attr-defined]
+    return options
+
+
 def option_names(kind: type) -> set[str]:
     """Return the names of a driver's options."""
-    options: type[msgspec.Struct] = kind.Options  # type: ignore[attr-defined]
-    return {*options.__struct_fields__}
+    return {*options_of(kind).__struct_fields__}
 
 
 def drawing(answer: str) -> list[Json]:
