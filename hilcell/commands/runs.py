@@ -328,14 +328,18 @@ def _files(folder: Path) -> list[Path]:
 
 
 def revoke(args: Revoke) -> int:
-    """Revoke the calibration of a run, and print which one is current now."""
+    """Revoke the calibration of a run, or a re-check's verdict on one, and print which calibration
+    is current now.
+    """
     folder = find_run(args.runs, args.run)
     log = read_log(folder)
-    if not log.calibrates or live_engine(folder) is not None:
+    redo = log.state == "finished" and log.facts.recheck == "redo"
+    if not (log.calibrates or redo) or live_engine(folder) is not None:
         raise HilcellError(
             f"run {folder.name} has no calibration to revoke: it is {log.state}", code="HC-J09"
         )
-    if before := row_of(folder).facts.revoked:
+    facts = row_of(folder).facts
+    if before := facts.revoked:
         raise HilcellError(f"run {folder.name} is already revoked: {before}", code="HC-J09")
     cell = f"cell {log.cell.name}"
     operator = ("--operator", args.operator) if args.operator else ()
@@ -349,7 +353,7 @@ def revoke(args: Revoke) -> int:
             journal.append("event", "", revoked)
         finally:
             journal.close()
-    status = calibration_status(folder)
+    status = calibration_status(folder.resolve().with_name(facts.used) if redo else folder)
     current = status.current if status else ""
     if args.json:
         print_json({"run": folder.name, "reason": args.reason, "current": current or None})
@@ -357,7 +361,8 @@ def revoke(args: Revoke) -> int:
     machine = f" ({status.machine})" if status and status.machine else ""
     none = f"{cell}{machine} has no current calibration now"
     now = f"the current one is {current}" if current else none
-    print_message(f"the calibration of run {folder.name} is revoked; {now}")
+    what = "verdict redo" if redo else "calibration"
+    print_message(f"the {what} of run {folder.name} is revoked; {now}")
     return 0
 
 

@@ -236,7 +236,7 @@ class Explain(Signature):
 
 
 class Revoke(OfRun):
-    """Revoke the calibration of a run."""
+    """Revoke the calibration of a run, or the verdict redo of a re-check."""
 
     reason: str = option("recorded in the journal", "TEXT", parse_reason)
     operator: str = NOTED

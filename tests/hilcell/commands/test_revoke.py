@@ -115,6 +115,16 @@ def test_a_re_check_with_redo_leaves_none(runs: Path) -> None:
     assert "2-recheck" in refused(runs, "1-made")
 
 
+def test_a_redo_is_revoked_where_the_reflector_was_at_fault(runs: Path) -> None:
+    finished(runs, "2-recheck", REDO, used="1-made", code=1)
+    (runs / "2-recheck" / CALIBRATION).unlink()
+    done = revoke(runs, "2-recheck", "--reason", "loose reflector", "--json")
+    assert json.loads(done.stdout)["current"] == "1-made"
+    assert compensate(runs, "1-made").returncode == 0
+    again = revoke(runs, "2-recheck", "--reason", "loose reflector")
+    assert (again.returncode, "loose reflector" in again.stderr) == (2, True)
+
+
 def test_runs_and_show_say_how_it_stands(runs: Path) -> None:
     finished(runs, "2-made", MADE)
     for name in ("3-home", "4-file-of-no-calibration"):
