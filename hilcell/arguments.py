@@ -18,7 +18,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, Self, TypeVar, cast, dataclass_transform, get_type_hints
 
-from hilcell.sanitize import LONGEST, clean
+from hilcell.sanitize import LONGEST, clean, encodable
 
 T = TypeVar("T")
 MISSING: Any = object()  # no default
@@ -226,6 +226,8 @@ def parse_run_name(text: str) -> str:
 def parse_note(text: str) -> str:
     if len(text) > LONGEST:
         raise argparse.ArgumentTypeError(f"expected at most {LONGEST} characters, got {len(text)}")
+    if encodable(text) != text:
+        raise argparse.ArgumentTypeError(f"expected UTF-8 text, got {text!a}")
     return clean(text)
 
 

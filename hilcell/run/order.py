@@ -20,11 +20,11 @@ from hilcell.arguments import (
     option,
     parse_days,
     parse_finite,
+    parse_note,
     parse_run_name,
     parse_seed,
     parse_speed,
 )
-from hilcell.sanitize import clean
 
 if TYPE_CHECKING:
     from hilcell.journal.log import Log
@@ -72,7 +72,7 @@ class Order(Signature):
         parse_run_name,
         default=None,
     )
-    job: str = option("recorded in the journal", "ID", clean, default="")
+    job: str = option("recorded in the journal", "ID", parse_note, default="")
     accept_out_of_tolerance: bool = OUT_OF_TOLERANCE
     accept_not_current: bool = NOT_CURRENT
     dry_run: bool = option("check and print the plan only", default=False)

@@ -115,11 +115,28 @@ def test_those_that_were_asked_for(runs: Path, words: list[str], count: int) -> 
     assert len(listed(runs, *words)) == count
 
 
-@pytest.mark.parametrize("words", [("runs",), ("run", "home"), ("revoke", "last", "--reason=x")])
-def test_an_operators_name_is_refused_that_a_journal_would_cut(words: tuple[str, ...]) -> None:
-    refused = command(*words, "--operator", 201 * "x")
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("runs", "--operator"),
+        ("run", "home", "--operator"),
+        ("run", "home", "--job"),
+        ("revoke", "last", "--reason=x", "--operator"),
+    ],
+)
+@pytest.mark.parametrize(
+    ("note", "why"),
+    [
+        (201 * "x", "expected at most 200 characters, got 201"),
+        ("M\udcfcller", r"expected UTF-8 text, got 'M\udcfcller'"),  # Latin 1
+    ],
+)
+def test_a_note_is_refused_that_a_journal_would_change(
+    words: tuple[str, ...], note: str, why: str
+) -> None:
+    refused = command(*words, note)
     assert refused.returncode == 2
-    assert "--operator: expected at most 200 characters, got 201" in refused.stderr
+    assert f"{words[-1]}: {why}" in refused.stderr
 
 
 @pytest.mark.parametrize("text", ["soon", "22.11.2026", "0001-01-01", ""])
