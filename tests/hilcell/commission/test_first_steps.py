@@ -7,7 +7,7 @@ import pytest
 
 from hilcell.cell.settings import SettingsError
 from hilcell.commission.cell_text import CellText
-from hilcell.commission.dialogue import Dialogue
+from hilcell.commission.dialogue import TypedDialogue
 from hilcell.commission.first_steps import WhichDevices
 
 
@@ -21,7 +21,7 @@ def test_an_impossible_port_is_refused_by_its_key(driver: str, option: str, tmp_
         f'serial = "1"\n[robot]\ndriver = "{driver}"\n'
         f'[robot.options]\nhost = "127.0.0.1"\n{option}\n'
     )
-    dialogue = Dialogue(Queue(), lambda _: None)
+    dialogue = TypedDialogue(Queue(), lambda _: None)
     with pytest.raises(SettingsError) as refused:
         WhichDevices(cell, CellText.read(cell), dialogue).perform()
     assert refused.value.source == "robot.options"
