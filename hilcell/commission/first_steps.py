@@ -36,6 +36,8 @@ from hilcell.errors import HilcellError
 
 DRAWING_MM = 1e5
 REAL = "real"
+ELSEWHERE = "other"
+ADDRESSES = {"host": "192.168.10.20", "channel": "can0"}  # options, each with an example
 Addresses = Mapping[str, Mapping[str, object]]
 
 
@@ -87,9 +89,7 @@ class WhichDevices:
         kind = load_entry(GROUPS[table], str(driver))
         stated = self._text.get(f"{table}.options")
         options: Json = {**known, **stated} if isinstance(stated, Mapping) else dict(known)
-        if not options:
-            options = self._address(table, kind)
-        found, title = self._found(table, kind, options)
+        found, title = self.found(table, kind, options)
         for key, value in found.items():
             self._text.set(f"{table}.options.{key}", value)
         if table == "tracker":
@@ -105,32 +105,49 @@ class WhichDevices:
             values={f"{table}.options.{key}": value for key, value in found.items()},
         )
 
+    def found(self, table: str, kind: type, options: Json) -> tuple[Json, str]:
+        """Return the options of the device that answers, and its title.
+
+        Without an address the driver lists what it can; a person is asked for one only if that is
+        nothing, or if it is something else.
+        """
+        if not issubclass(kind, ports.Discovers):
+            options = options or self._address(table, kind)
+            return options, ", ".join(f"{key} {value}" for key, value in options.items()) or "none"
+        if options:
+            check_values(options, options_of(kind), f"{table}.options")
+        candidates = kind.discover(options)
+        for each in candidates:
+            self._dialogue.say(f"{table}: {each.title}")
+        askable = not options and ADDRESSES.keys() & option_names(kind)
+        if not candidates and not askable:
+            where = options or "any address"
+            raise HilcellError(
+                f"{table}: no device answers at {where}; check its power, cable and address",
+                code="HC-C40",
+            )
+        certain = len(candidates) == 1 and (bool(options) or bool(candidates[0].identities))
+        names = {str(n): each.title for n, each in enumerate(candidates, start=1)}
+        if askable:
+            names[ELSEWHERE] = "at an address that you enter"
+        taken = "1" if certain else ELSEWHERE
+        if candidates and not certain:
+            taken = self._dialogue.choose(f"{table}: which one?", names)
+        if taken == ELSEWHERE:
+            return self.found(table, kind, self._address(table, kind))
+        chosen = candidates[int(taken) - 1]
+        if not options and not chosen.identities:  # a line that was listed, not opened
+            return self.found(table, kind, chosen.options)
+        return options | chosen.options, chosen.title
+
     def _address(self, table: str, kind: type) -> Json:
-        """Ask for what the driver cannot find without: its host or its channel."""
+        """Ask for a device's host or channel, whichever its driver has."""
         names = option_names(kind)
-        for key, example in (("host", "192.168.10.20"), ("channel", "can0")):
+        for key, example in ADDRESSES.items():
             if key in names:
                 question = f"{table}: {key} (such as {example})?"
                 return {key: self._dialogue.ask(question, word(f"a {key}"))}
         return {}
-
-    def _found(self, table: str, kind: type, options: Json) -> tuple[Json, str]:
-        """Return the options of the device that answers, and its title."""
-        if not issubclass(kind, ports.Discovers):
-            return options, ", ".join(f"{key} {value}" for key, value in options.items()) or "none"
-        check_values(options, options_of(kind), f"{table}.options")
-        candidates = kind.discover(options)
-        for each in candidates:
-            self._dialogue.say(f"{table}: {each.title}")
-        if not candidates:
-            raise HilcellError(
-                f"{table}: no device answers at {options}; check its power, cable and address",
-                code="HC-C40",
-            )
-        names = {str(n): each.title for n, each in enumerate(candidates, start=1)}
-        taken = "1" if len(names) == 1 else self._dialogue.choose(f"{table}: which one?", names)
-        chosen = candidates[int(taken) - 1]
-        return options | chosen.options, chosen.title
 
     def _controller(self, cell: Cell, addresses: Addresses) -> None:
         """Write the tool and the joint limits that the robot's controller states."""

@@ -1,14 +1,74 @@
-"""The first step: what a person has written and a device cannot have is refused by its key."""
+"""The first step: devices are listed before an address is asked for; impossible options refused."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from queue import Queue
 
+import msgspec
 import pytest
 
 from hilcell.cell.settings import SettingsError
 from hilcell.commission.cell_text import CellText
 from hilcell.commission.dialogue import TypedDialogue
 from hilcell.commission.first_steps import WhichDevices
+from hilcell.errors import HilcellError
+from hilcell.ports import Candidate, Identity
+
+KNOWN = Identity("Rail", "drive", "7", "can0", False, "drive")
+LINE = Candidate("serial line usb-1, not opened", {"channel": "/dev/usb-1"}, [])
+OPENED = Candidate("usb-1: drive", {"channel": "/dev/usb-1", "drive_node": 3}, [KNOWN])
+BUS = Candidate("can0: drive", {"channel": "can0", "drive_node": 5}, [KNOWN])
+
+
+def rail(listed: list[Candidate], by_channel: Mapping[str, Candidate]) -> type:
+    """Return a driver's class that lists these, and finds a device at each of the channels."""
+
+    class Rail:
+        class Options(msgspec.Struct):
+            channel: str = ""
+
+        @classmethod
+        def discover(cls, known: Mapping[str, object]) -> list[Candidate]:
+            if not known:
+                return listed
+            found = by_channel.get(str(known["channel"]))
+            return [] if found is None else [found]
+
+    return Rail
+
+
+BUSES = {"can0": BUS, "/dev/usb-1": OPENED}
+
+
+@pytest.mark.parametrize(
+    ("listed", "typed", "node", "questions"),
+    [
+        ([BUS], [], 5, 0),
+        ([LINE], ["1"], 3, 1),
+        ([BUS, LINE], ["2"], 3, 1),
+        ([BUS, LINE], ["other", "can0"], 5, 2),
+        ([], ["can0"], 5, 1),
+    ],
+)
+def test_an_address_is_asked_for_only_where_none_is_listed(
+    listed: list[Candidate], typed: list[str], node: int, questions: int
+) -> None:
+    lines: Queue[str | None] = Queue()
+    for line in [*typed, None]:
+        lines.put(line)
+    dialogue = TypedDialogue(lines, lambda _: None)
+    work = WhichDevices(Path("hall.toml"), CellText(), dialogue)
+    options, _ = work.found("rail", rail(listed, BUSES), {})
+    assert options["drive_node"] == node
+    assert dialogue.questions == questions
+
+
+def test_an_address_where_nothing_answers_is_refused() -> None:
+    lines: Queue[str | None] = Queue()
+    lines.put("can1")
+    work = WhichDevices(Path("hall.toml"), CellText(), TypedDialogue(lines, lambda _: None))
+    with pytest.raises(HilcellError, match=r"no device answers at \{'channel': 'can1'\}"):
+        work.found("rail", rail([], BUSES), {})
 
 
 @pytest.mark.parametrize(
