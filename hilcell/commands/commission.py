@@ -8,27 +8,23 @@ from collections.abc import Callable
 from pathlib import Path
 from queue import Queue
 
+from hilcell.atomic_files import check_output, write_whole
 from hilcell.cell.settings import SettingsError
 from hilcell.cell.source import built_in_cells
 from hilcell.commands.console import print_message, print_table
 from hilcell.commands.run_output import ProgressOutput, print_end
 from hilcell.commands.signatures import Commission
-from hilcell.commission.cell_text import CellText
 from hilcell.commission.dialogue import TypedDialogue
-from hilcell.commission.record import Commissioned, record_path
-from hilcell.commission.steps import (
-    STEPS,
-    Commissioning,
-    Step,
-    StepEnded,
-    standing,
-    steps_to_perform,
-)
+from hilcell.commission.page import CommissioningPage, page_html, page_path
+from hilcell.commission.record import record_path
+from hilcell.commission.sequence import STEPS, Step
+from hilcell.commission.steps import Commissioning, StepEnded, standing, steps_to_perform
 from hilcell.errors import EXIT_OK, EXIT_OUT_OF_TOLERANCE, HilcellError
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
 from hilcell.model.records import WAITING, StateChanged
 from hilcell.present.table import Column, Table
+from hilcell.report.pdf import find_browser, pdf_of
 from hilcell.run.control import order
 from hilcell.run.engine import NewEngine
 from hilcell.run.order import Order
@@ -43,6 +39,8 @@ def commission(args: Commission) -> int:
         raise SettingsError(str(args.cell), [problem])
     if args.list:
         return _list(args.cell)
+    if args.report:
+        return _report(args.cell, Path(args.report))
     lines: Queue[str | None] = Queue(MOST_LINES)
     threading.Thread(target=_read, args=(lines,), name="keyboard", daemon=True).start()
     dialogue = TypedDialogue(lines, print_message)
@@ -51,22 +49,38 @@ def commission(args: Commission) -> int:
     )
     proved = work.perform(steps_to_perform(args.cell, args.first, args.only))
     print_message(standing(args.cell))
-    print_message(f"{dialogue.questions} questions; the record is {record_path(args.cell)}")
+    print_message(
+        f"{dialogue.questions} questions; the record is {record_path(args.cell)}, to read and sign "
+        f"{page_path(args.cell)}"
+    )
     return EXIT_OK if proved else EXIT_OUT_OF_TOLERANCE
 
 
 def _list(path: Path) -> int:
-    text, record = CellText.read(path), Commissioned.read(path)
+    page = CommissioningPage(path)
     print_table(
         Table(
             [
                 Column[Step]("step", lambda step: step.name),
                 Column[Step]("proves", lambda step: step.title),
-                Column[Step]("status", lambda step: record.status(step.name, text)),
+                Column[Step]("status", page.status),
+                Column("ended, UTC", page.ended),
+                Column("operator", page.operator),
             ],
             list(STEPS),
         )
     )
+    return EXIT_OK
+
+
+def _report(cell: Path, place: Path) -> int:
+    """Write the page of the record as HTML or PDF."""
+    inputs = (cell, record_path(cell))
+    check_output(place, (".html", ".htm", ".pdf"), "a report", inputs=inputs)
+    html = page_html(cell)
+    content = pdf_of(html, find_browser()) if place.suffix.lower() == ".pdf" else html.encode()
+    write_whole(place, content, inputs=inputs)
+    print_message(f"{place} written")
     return EXIT_OK
 
 

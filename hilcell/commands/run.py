@@ -52,7 +52,8 @@ def refuse_unproved(args: Order) -> None:
     """
     if args.cell in built_in_cells():
         return
-    from hilcell.commission.steps import STEPS, check_proved, steps_to_perform  # edits cell files
+    from hilcell.commission.sequence import STEPS
+    from hilcell.commission.steps import check_proved, steps_to_perform  # edits cell files
 
     path = Path(args.cell)
     step = next((each.name for each in STEPS if each.procedure == args.procedure), "")

@@ -259,7 +259,8 @@ class Commission(Signature):
     only: str = option("perform this step alone", "STEP", default="")
     runs: Path = RUNS
     operator: str = NOTED
-    list: bool = option("list the steps and what is proved", default=False)
+    list: bool = option("list the steps, who has proved them and when", default=False)
+    report: str = option("write the page of the record, and perform nothing", "FILE", default="")
 
 
 class Doctor(Signature):

@@ -123,3 +123,12 @@ def _flat(values: Mapping[str, object]) -> Table:
     for key, value in values.items():
         table[key] = _item(value, inline=True)
     return table
+
+
+def shown(value: object) -> str:
+    """Return a value as a person reads it: a list of tables by their names."""
+    if isinstance(value, Mapping):
+        return str(value.get("name") or ", ".join(f"{key} {each}" for key, each in value.items()))
+    if isinstance(value, list):
+        return ", ".join(shown(each) for each in value)
+    return str(value)

@@ -1,4 +1,4 @@
-"""The steps of commissioning, in sequence, and the loop that performs them.
+"""The loop that performs the steps of commissioning.
 
 A step that needs devices is a run of a procedure. Its verdicts carry values for the cell file: the
 step is repeated with them until it proves what the file says.
@@ -6,61 +6,30 @@ step is repeated with them until it proves what the file says.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import NamedTuple
 
+import msgspec
+
+from hilcell.atomic_files import write_whole
 from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
-from hilcell.commission.cell_text import CellText
+from hilcell.commission.cell_text import CellText, shown
 from hilcell.commission.dialogue import Dialogue
 from hilcell.commission.first_steps import WhichDevices, what_devices_can
+from hilcell.commission.page import page_html, page_path
 from hilcell.commission.record import Check, Commissioned, StepRecord
+from hilcell.commission.sequence import ABILITIES, LACKS, NAMES, STEPS, Step
 from hilcell.errors import HilcellError
+from hilcell.identity import Identity
 from hilcell.journal.log import Log
 from hilcell.model.verdicts import Proved
 from hilcell.run.procedure import Procedure, announced
 
-ABILITIES, LACKS = "abilities", "has not"
 REPEATS = 6  # of a step whose values are written and proved again
-
-
-class Step(NamedTuple):
-    """One step; ``procedure``: of its run, "" for one without a run. ``confirms``: a fact that only
-    a person sees, asked before the run.
-    """
-
-    name: str
-    title: str
-    procedure: str = ""
-    confirms: str = ""
-
-
-STEPS = (
-    Step("devices", "which devices there are"),
-    Step(ABILITIES, "what the devices can"),
-    Step(
-        "controller",
-        "settings of the robot's controller, the safe pose",
-        "commission-controller",
-        "the present pose of the robot becomes its safe pose, at which the slide travels; is it "
-        "clear of everything along the rail?",
-    ),
-    Step("rail", "signs, scales, speed and stop of the rail, small first", "commission-rail"),
-    Step("robot", "each axis by a degree", "commission-robot"),
-    Step("tracker", "the tracker's pose, by the floor nests in any order", "commission-tracker"),
-    Step("base", "the robot's base and the reflector on its flange", "commission-base"),
-    Step("slide", "the nests on the slide", "commission-slide"),
-    Step("stations", "the stations, by the strip", "commission-stations"),
-    Step(
-        "proof",
-        "a first pass, a correction that must go the right way, a stop",
-        "commission-proof",
-    ),
-)
 Perform = Callable[[str], tuple[str, Log]]  # a procedure to its end: the run's name, its log
 
 
@@ -74,17 +43,27 @@ class Commissioning:
     run: Perform
 
     def perform(self, steps: Sequence[Step]) -> bool:
-        """Perform steps in sequence up to the first that does not prove; return whether all did."""
-        for number, step in enumerate(steps, start=1):
-            self.dialogue.begin(step.name, step.title, number, len(steps))
-            if not self._perform(step):
-                return False
-        return True
+        """Perform steps in sequence up to the first that does not prove; return whether all did.
+
+        The page of the record is written in any case.
+        """
+        try:
+            for number, step in enumerate(steps, start=1):
+                self.dialogue.begin(step.name, step.title, number, len(steps))
+                if not self._perform(step):
+                    return False
+            return True
+        finally:
+            write_whole(page_path(self.path), page_html(self.path).encode())
 
     def _perform(self, step: Step) -> bool:
+        began, asked = _now(), self.dialogue.questions
         self._agree(step)
         for _ in range(REPEATS):
-            record = self._once(step)
+            record = msgspec.structs.replace(
+                self._once(step), began=began, questions=self.dialogue.questions - asked
+            )
+            began, asked = record.ended, self.dialogue.questions
             text = CellText.read(self.path)
             before = {path: text.get(path) for path in record.values}
             for path, value in record.values.items():
@@ -94,7 +73,7 @@ class Commissioning:
                 text.write(self.path)
                 load_cell(str(self.path))
             Commissioned.read(self.path).add(record, self.path)
-            written = [f"{self.path.name}: {path} = {_shown(text.get(path))}" for path in changed]
+            written = [f"{self.path.name}: {path} = {shown(text.get(path))}" for path in changed]
             self.dialogue.show(record, [*lines_of(record), *written])
             if record.holds:
                 return True
@@ -126,7 +105,7 @@ class Commissioning:
         if not step.procedure:
             return self._record(step, self._without_run(step))
         run, log = self.run(step.procedure)
-        return self._record(step, checks_of(log), run)
+        return self._record(step, checks_of(log), run, log.assets)
 
     def _without_run(self, step: Step) -> list[Check]:
         if step.name == "devices":
@@ -141,24 +120,22 @@ class Commissioning:
             for ability in what_devices_can(load_cell(str(self.path)))
         ]
 
-    def _record(self, step: Step, checks: list[Check], run: str = "") -> StepRecord:
+    def _record(
+        self, step: Step, checks: list[Check], run: str = "", devices: Sequence[Identity] = ()
+    ) -> StepRecord:
         return StepRecord(
             step=step.name,
-            ended=datetime.now(UTC).isoformat(timespec="seconds"),
+            ended=_now(),
             operator=self.operator,
             holds=all(each.holds for each in checks),
             checks=checks,
             run=run,
+            devices=[*devices],
         )
 
 
-def _shown(value: object) -> str:
-    """Return a value as a person reads it: a list of tables by their names."""
-    if isinstance(value, Mapping):
-        return str(value.get("name") or ", ".join(f"{key} {each}" for key, each in value.items()))
-    if isinstance(value, list):
-        return ", ".join(_shown(each) for each in value)
-    return str(value)
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def checks_of(log: Log) -> list[Check]:
@@ -252,11 +229,10 @@ def steps_to_perform(path: Path, first: str, only: str) -> Sequence[Step]:
     Raises `SettingsError` for an unknown name, and for a step before which another is not proved:
     it would move by assumed values.
     """
-    names, open_steps = [step.name for step in STEPS], unproved(path)
-    name = only or first
-    if name and name not in names:
-        raise SettingsError("step", [f"unknown step {name!r}; known: {', '.join(names)}"])
-    begin = names.index(name or (open_steps[0] if open_steps else names[-1]))
-    if before := [each for each in open_steps if each in names[:begin]]:
+    name, open_steps = only or first, unproved(path)
+    if name and name not in NAMES:
+        raise SettingsError("step", [f"unknown step {name!r}; known: {', '.join(NAMES)}"])
+    begin = NAMES.index(name or (open_steps[0] if open_steps else NAMES[-1]))
+    if before := [each for each in open_steps if each in NAMES[:begin]]:
         raise SettingsError("step", [f"{name}: {', '.join(before)} must be proved before it"])
     return STEPS[begin : begin + 1] if only else STEPS[begin:]

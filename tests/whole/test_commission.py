@@ -10,7 +10,7 @@ import pytest
 
 from hilcell.cell.file import Cell, load_cell
 from hilcell.commission.record import Commissioned
-from hilcell.commission.steps import STEPS
+from hilcell.commission.sequence import STEPS
 from tests.whole.bench import HILCELL, hilcell, sim_command
 
 FREE_PORTS = "rail=0,robot=0,tracker=0,control=0"
@@ -76,6 +76,8 @@ def test_an_unknown_hall_is_commissioned_calibrated_and_prepared(tmp_path: Path)
         for run in sorted((tmp_path / "runs").glob("*commission*")):
             checked = hilcell("show", run.name, "--check", *runs)
             assert checked.returncode == 0, checked.stdout
+        page = file.with_suffix(".commissioning.html").read_text()
+        assert "This cell is ready to calibrate." in page
         questions = int(done.stderr.rpartition(" questions")[0].rpartition("\n")[2])
         assert questions <= MOST_QUESTIONS
 
@@ -135,6 +137,14 @@ def test_the_steps_are_listed_without_a_file(tmp_path: Path) -> None:
 def test_a_built_in_cell_is_not_commissioned() -> None:
     done = hilcell("commission", "unknown")
     assert (done.returncode, "mycell.toml" in done.stderr) == (2, True)
+
+
+def test_the_page_is_written_again(tmp_path: Path) -> None:
+    place = tmp_path / "page.html"
+    done = hilcell("commission", tmp_path / "mycell.toml", "--report", place)
+    assert done.returncode == 0
+    assert "NOT READY" in place.read_text()
+    assert hilcell("commission", tmp_path / "c.toml", "--report", "page.csv").returncode == 2
 
 
 @pytest.mark.parametrize("option", ["--from", "--only"])

@@ -79,9 +79,23 @@ def test_a_step_is_proved_while_the_file_has_its_values(tmp_path: Path) -> None:
     assert Commissioned.read(cell).status("base", text) == "changed"
 
 
-def test_a_damaged_record_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "hall.commissioning.json").write_text('{"form": 1, "steps": [')
-    with pytest.raises(SettingsError, match="damaged"):
+STEP = '{"step": "%s", "ended": "", "operator": "", "holds": true, "checks": []}'
+
+
+@pytest.mark.parametrize(
+    ("record", "why"),
+    [
+        ('{"form": 1, "steps": [', "damaged: .*move this file away to begin again"),
+        ('{"form": 2, "steps": []}', "damaged: .*form"),
+        ('{"steps": [%s]}' % (STEP % "rails"), "step 'rails' is unknown, expected one of devices"),
+        ('{"cell": "barn"}', "of a cell with name 'barn', expected 'hall' as in hall.toml"),
+        ('{"cell": "hall", "serial": "2"}', "of a cell with serial '2', expected '1'"),
+    ],
+)
+def test_a_wrong_record_is_refused(record: str, why: str, tmp_path: Path) -> None:
+    (tmp_path / "hall.toml").write_text('name = "hall"\nserial = "1"\n')
+    (tmp_path / "hall.commissioning.json").write_text(record)
+    with pytest.raises(SettingsError, match=why):
         Commissioned.read(tmp_path / "hall.toml")
 
 

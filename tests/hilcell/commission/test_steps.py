@@ -9,11 +9,10 @@ from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.commission.first_steps import drawing
 from hilcell.commission.record import Commissioned, StepRecord
-from hilcell.commission.steps import STEPS, Step, check_proved, motions, steps_to_perform, unproved
+from hilcell.commission.sequence import NAMES, STEPS, Step
+from hilcell.commission.steps import check_proved, motions, steps_to_perform, unproved
 from hilcell.errors import HilcellError
 from hilcell.run.procedure import Procedure, announced
-
-NAMES = [step.name for step in STEPS]
 
 
 def proved(cell: Path, *names: str) -> Path:

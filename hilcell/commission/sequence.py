@@ -1,0 +1,43 @@
+"""The steps of commissioning, in sequence."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+ABILITIES, LACKS = "abilities", "has not"
+
+
+class Step(NamedTuple):
+    """One step; ``procedure``: of its run, "" for one without a run. ``confirms``: a fact that only
+    a person sees, asked before the run.
+    """
+
+    name: str
+    title: str
+    procedure: str = ""
+    confirms: str = ""
+
+
+STEPS = (
+    Step("devices", "which devices there are"),
+    Step(ABILITIES, "what the devices can"),
+    Step(
+        "controller",
+        "settings of the robot's controller, the safe pose",
+        "commission-controller",
+        "the present pose of the robot becomes its safe pose, at which the slide travels; is it "
+        "clear of everything along the rail?",
+    ),
+    Step("rail", "signs, scales, speed and stop of the rail, small first", "commission-rail"),
+    Step("robot", "each axis by a degree", "commission-robot"),
+    Step("tracker", "the tracker's pose, by the floor nests in any order", "commission-tracker"),
+    Step("base", "the robot's base and the reflector on its flange", "commission-base"),
+    Step("slide", "the nests on the slide", "commission-slide"),
+    Step("stations", "the stations, by the strip", "commission-stations"),
+    Step(
+        "proof",
+        "a first pass, a correction that must go the right way, a stop",
+        "commission-proof",
+    ),
+)
+NAMES = [step.name for step in STEPS]
