@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import math
 
-from hilcell.cell.file import UNPLACED_MM, Cell, load_cell
-from hilcell.cell.source import built_in_cells
+from hilcell.cell.file import UNPLACED_MM
+from hilcell.cell.robot import Joint
+from hilcell.cell.tables import Pose
 from hilcell.commission.cell_text import CellText
+from hilcell.commission.known_robots import KnownRobot
 from hilcell.decoding import Json
 
 ASSUMED = "assumed; a later step measures it"
@@ -19,35 +21,32 @@ SURVEY_MM = 300.0
 MARGIN_MM = 30.0  # of a measure by tape
 
 
-def known_robots() -> dict[str, Cell]:
-    """Return the robots whose nominal kinematics come with hilcell, by name, each with its cell."""
-    cells = [load_cell(name) for name in built_in_cells()]
-    return {cell.robot.name: cell for cell in reversed(cells)}
-
-
-def write_robot(text: CellText, robot: str) -> None:
+def write_robot(text: CellText, known: KnownRobot) -> None:
     """Write a known robot's nominal kinematics and working volume, unless the file has its own."""
-    cell = known_robots()[robot]
-    source, table = f"nominal, of the maker's {robot}", cell.robot
+    robot, grid, frame = known.robot, known.grid, known.base_frame
     for key, value, comment in (
-        ("robot.name", table.name, ""),
-        ("robot.rp_mm", table.rp_mm, "pose repeatability of the data sheet"),
-        ("robot.smr_mm", list(table.smr_mm), ASSUMED),
-        ("robot.home_deg", list(table.home_deg), ASSUMED),
-        ("robot.safe_deg", list(table.safe_deg), ASSUMED),
-        ("robot.status", table.status, ""),
+        ("robot.name", robot.name, ""),
+        ("robot.rp_mm", robot.rp_mm, "pose repeatability of the data sheet"),
+        ("robot.smr_mm", list(robot.smr_mm), ASSUMED),
+        ("robot.home_deg", list(robot.home_deg), ASSUMED),
+        ("robot.safe_deg", list(robot.safe_deg), ASSUMED),
+        ("robot.status", robot.status, ""),
         ("robot.speed_percent", 10.0, "raise it once the cell is proved"),
-        ("robot.ramp_s", table.ramp_s, ""),
-        ("robot.joint", [joint_row(cell, axis) for axis in range(6)], source),
+        ("robot.ramp_s", robot.ramp_s, ""),
+        (
+            "robot.joint",
+            [joint_row(joint) for joint in robot.joint],
+            f"nominal, of the maker's {robot.name}",
+        ),
         ("grid.station", "S1", ""),
-        ("grid.centre", pose_row(cell), ""),
-        ("grid.size_mm", list(cell.grid.size_mm), ""),
-        ("grid.pitch_mm", cell.grid.pitch_mm, ""),
-        ("base_frame.axis_1_deg", list(cell.base_frame.axis_1_deg), ""),
-        ("base_frame.axis_1_sweep_deg", list(cell.base_frame.axis_1_sweep_deg), ""),
-        ("base_frame.axis_6_deg", list(cell.base_frame.axis_6_deg), ""),
-        ("base_frame.axis_6_sweep_deg", list(cell.base_frame.axis_6_sweep_deg), ""),
-        ("base_frame.points", cell.base_frame.points, ""),
+        ("grid.centre", pose_row(grid.centre), ""),
+        ("grid.size_mm", list(grid.size_mm), ""),
+        ("grid.pitch_mm", grid.pitch_mm, ""),
+        ("base_frame.axis_1_deg", list(frame.axis_1_deg), ""),
+        ("base_frame.axis_1_sweep_deg", list(frame.axis_1_sweep_deg), ""),
+        ("base_frame.axis_6_deg", list(frame.axis_6_deg), ""),
+        ("base_frame.axis_6_sweep_deg", list(frame.axis_6_sweep_deg), ""),
+        ("base_frame.points", frame.points, ""),
     ):
         write_new(text, key, value, comment)
 
@@ -93,8 +92,7 @@ def write_new(text: CellText, path: str, value: object, comment: str = "") -> No
         text.set(path, value, comment)
 
 
-def joint_row(cell: Cell, axis: int) -> Json:
-    joint = cell.robot.joint[axis]
+def joint_row(joint: Joint) -> Json:
     row: Json = {
         "a_mm": joint.a_mm,
         "alpha_deg": joint.alpha_deg,
@@ -108,10 +106,9 @@ def joint_row(cell: Cell, axis: int) -> Json:
     return row
 
 
-def pose_row(cell: Cell) -> Json:
-    centre = cell.grid.centre
+def pose_row(pose: Pose) -> Json:
     names = ("x_mm", "y_mm", "z_mm", "a_deg", "b_deg", "c_deg")
-    return {name: value for name in names if (value := getattr(centre, name)) or name[0] in "xyz"}
+    return {name: value for name in names if (value := getattr(pose, name)) or name[0] in "xyz"}
 
 
 def _middle_of_travel(text: CellText) -> float:

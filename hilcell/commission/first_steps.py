@@ -5,9 +5,9 @@ Devices are found by their drivers (`hilcell.ports.Discovers`), which listen and
 
 from __future__ import annotations
 
-import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from threading import Event
 
@@ -22,17 +22,13 @@ from hilcell.cell.settings import SettingsError, check_values, read_file
 from hilcell.clock import WallClock
 from hilcell.commission.cell_text import CellText
 from hilcell.commission.dialogue import Dialogue, number, word
-from hilcell.commission.draft import (
-    known_robots,
-    write_new,
-    write_places,
-    write_robot,
-    write_travel,
-)
+from hilcell.commission.draft import write_new, write_places, write_robot, write_travel
+from hilcell.commission.known_robots import known_robots, stated_robot
 from hilcell.commission.record import Check
 from hilcell.compensation.targets import read_named_rows
 from hilcell.decoding import Json
 from hilcell.errors import HilcellError
+from hilcell.identity import Identity
 
 DRAWING_MM = 1e5
 REAL = "real"
@@ -52,15 +48,25 @@ class WhichDevices:
         write_new(self._text, "name", self._path.stem)
         self._once("serial", "serial or inventory number of this cell", word("a number"), "1")
         addresses = self._simulated()
-        checks = [
-            self._device(table, addresses.get(table, {})) for table in ("robot", "rail", "tracker")
-        ]
-        self._robot(checks[0])
+        found = {
+            table: self._device(table, addresses.get(table, {}))
+            for table in ("robot", "rail", "tracker")
+        }
+        self._robot(found["robot"].identities)
         self._rail()
         self._nests()
         self._text.write(self._path)
         self._controller(load_cell(str(self._path)), addresses)
-        return checks
+        return [
+            Check(
+                what=f"{table} ({self._text.get(f'{table}.driver')})",
+                found=device.title,
+                expected="a device that answers",
+                holds=True,
+                values={f"{table}.options.{key}": value for key, value in device.options.items()},
+            )
+            for table, device in found.items()
+        ]
 
     def _simulated(self) -> Addresses:
         """Return the addresses of a simulated hall; none for real devices."""
@@ -78,7 +84,7 @@ class WhichDevices:
         self._dialogue.real = address == REAL
         return {} if self._dialogue.real else addresses_of(str(address))
 
-    def _device(self, table: str, known: Mapping[str, object]) -> Check:
+    def _device(self, table: str, known: Mapping[str, object]) -> ports.Candidate:
         """Choose a driver, find its device, and write what it answers."""
         driver = self._text.get(f"{table}.driver")
         if driver is None:
@@ -89,31 +95,26 @@ class WhichDevices:
         kind = load_entry(GROUPS[table], str(driver))
         stated = self._text.get(f"{table}.options")
         options: Json = {**known, **stated} if isinstance(stated, Mapping) else dict(known)
-        found, title = self.found(table, kind, options)
-        for key, value in found.items():
+        found = self.found(table, kind, options)
+        for key, value in found.options.items():
             self._text.set(f"{table}.options.{key}", value)
         if table == "tracker":
             self._once(
                 "tracker.reflector", "reflector, by its name in the tracker", word("a name"),
                 "SMR 1.5in",
             )  # fmt: skip
-        return Check(
-            what=f"{table} ({driver})",
-            found=title,
-            expected="a device that answers",
-            holds=True,
-            values={f"{table}.options.{key}": value for key, value in found.items()},
-        )
+        return found
 
-    def found(self, table: str, kind: type, options: Json) -> tuple[Json, str]:
-        """Return the options of the device that answers, and its title.
+    def found(self, table: str, kind: type, options: Json) -> ports.Candidate:
+        """Return the device that answers, with all its options.
 
         Without an address the driver lists what it can; a person is asked for one only if that is
         nothing, or if it is something else.
         """
         if not issubclass(kind, ports.Discovers):
             options = options or self._address(table, kind)
-            return options, ", ".join(f"{key} {value}" for key, value in options.items()) or "none"
+            title = ", ".join(f"{key} {value}" for key, value in options.items()) or "none"
+            return ports.Candidate(title, options, [])
         if options:
             check_values(options, options_of(kind), f"{table}.options")
         candidates = kind.discover(options)
@@ -138,7 +139,7 @@ class WhichDevices:
         chosen = candidates[int(taken) - 1]
         if not options and not chosen.identities:  # a line that was listed, not opened
             return self.found(table, kind, chosen.options)
-        return options | chosen.options, chosen.title
+        return replace(chosen, options=options | chosen.options)
 
     def _address(self, table: str, kind: type) -> Json:
         """Ask for a device's host or channel, whichever its driver has."""
@@ -169,17 +170,26 @@ class WhichDevices:
         self._text.write(self._path)
         load_cell(str(self._path))
 
-    def _robot(self, found: Check) -> None:
-        known = known_robots()
+    def _robot(self, identities: Sequence[Identity]) -> None:
+        """Write the kinematics of the robot that its controller states, else of the one named."""
         if self._text.get("robot.joint") is not None:
             return
-        stated = [name for name in known if alike(name, found.found)]
-        name = self._dialogue.choose(
-            "robot: whose nominal kinematics?",
-            {name: f"of the built-in cell {cell.name}" for name, cell in known.items()},
-            stated[0] if stated else "",
-        )
-        write_robot(self._text, name)
+        driver = str(self._text.get("robot.driver"))
+        known = known_robots(driver)
+        if not known:
+            raise HilcellError(
+                f"robot: no kinematics for {driver}; write [[robot.joint]] into {self._path}",
+                code="HC-C40",
+            )
+        identity = next(iter(identities), Identity())
+        robot = stated_robot(known, identity)
+        if robot is None:
+            names = {name: f"stated as {each.stated[0]}" for name, each in known.items()}
+            robot = known[self._dialogue.choose("robot: whose nominal kinematics?", names)]
+        else:
+            by = " ".join(filter(None, (identity.model, identity.firmware)))
+            self._dialogue.say(f"robot: nominal kinematics of {robot.robot.name}, by {by}")
+        write_robot(self._text, robot)
 
     def _rail(self) -> None:
         if self._text.get("rail.driver") == NO_RAIL:
@@ -273,9 +283,3 @@ def summary_of(kind: type) -> str:
     """Return the first line of the driver's module."""
     text = sys.modules[kind.__module__].__doc__ or kind.__doc__ or ""
     return text.strip().partition("\n")[0].rstrip(".")
-
-
-def alike(name: str, title: str) -> bool:
-    """Whether a title names a robot, regardless of case, blanks and signs."""
-    plain, of_title = (re.sub(r"[\W_]", "", each).casefold() for each in (name, title))
-    return plain in of_title

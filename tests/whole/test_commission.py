@@ -27,7 +27,6 @@ def answers(hall: dict[str, Any], drawing: Path) -> str:
         hall["drivers"]["rail"],
         hall["drivers"]["tracker"],
         hall["reflector"],
-        hall["robot"],
         f"{hall['room_mm']}",
         "35",
         f"{hall['speed_mm_s']}",

@@ -58,8 +58,8 @@ def test_an_address_is_asked_for_only_where_none_is_listed(
         lines.put(line)
     dialogue = TypedDialogue(lines, lambda _: None)
     work = WhichDevices(Path("hall.toml"), CellText(), dialogue)
-    options, _ = work.found("rail", rail(listed, BUSES), {})
-    assert options["drive_node"] == node
+    found = work.found("rail", rail(listed, BUSES), {})
+    assert found.options["drive_node"] == node
     assert dialogue.questions == questions
 
 
