@@ -22,9 +22,10 @@ from hilcell.commands.run_output import (
 from hilcell.errors import DONE, EXIT_ABORTED, EXIT_STORAGE
 from hilcell.journal.index import find_run
 from hilcell.journal.log import Log
-from hilcell.journal.runs import live_engine, read_log
+from hilcell.journal.runs import EngineFile, live_engine, read_log
 from hilcell.journal.runs_folder import command_on
 from hilcell.model.events import Announced, StepBegun
+from hilcell.model.records import WAITING
 from hilcell.ports import HilcellError
 from hilcell.run.control import HERE, MEASURED_S, RELEASE, order
 from hilcell.run.engine import Engine, NewEngine, ResumedEngine
@@ -65,8 +66,8 @@ def refuse_unproved(args: Order) -> None:
 
 def resume(args: Resume) -> int:
     folder = find_run(args.runs, args.run)
-    if live_engine(folder) is not None:
-        return _resume_live(folder, args)
+    if (lives := live_engine(folder)) is not None:
+        return _resume_live(folder, lives, args)
     operator = can_ask(args.attendance)
     plan = args.check(folder, read_log(folder), operator_present=operator)
     with ResumedEngine(args, plan, print_message) as engine:
@@ -93,7 +94,7 @@ def _performed(engine: Engine, *, as_json: bool) -> int:
     return EXIT_STORAGE if output.lost is not None and code in DONE else code
 
 
-def _resume_live(folder: Path, args: Resume) -> int:
+def _resume_live(folder: Path, engine: EngineFile, args: Resume) -> int:
     """Let a live run continue; not confirmed here where it is unattended or a screen shows it.
 
     An announced motion of a real robot always needs a typed "yes" or a screen.
@@ -104,8 +105,10 @@ def _resume_live(folder: Path, args: Resume) -> int:
         print_message(f"the beam is free: put it on the nest, then `{resume} --answer {HERE}`")
         return 0
     operator, status = can_ask(args.attendance), order(folder, "status")
-    log, in_progress = read_log(folder), status.state == "running" and not status.pausing
+    log = read_log(folder)
     procedure: Procedure = load_entry("procedures", log.inputs.procedure)
+    if not (status.pausing or status.state in WAITING):
+        return _leave_working(folder, engine, args, log, procedure, status.state)
     motion = awaited_motion(log)
     if not operator and motion and not log.inputs.simulated:
         raise HilcellError(
@@ -118,25 +121,40 @@ def _resume_live(folder: Path, args: Resume) -> int:
         reason = log.life[-1].change.reason if log.life else ""
         if not operator:
             check_unasked(folder.name, log, procedure, args.attendance)
-        elif not in_progress and not confirmed(folder.name, log, procedure, [], reason):
+        elif not confirmed(folder.name, log, procedure, [], reason):
             return EXIT_ABORTED
     newest = log.newest.seq if log.newest is not None else 0
     for key in args.retake:
         order(folder, "retake", key=key)
-    if in_progress:
-        announced = log.happened(Announced)
-        moving = announced[-1].motion if announced else _moves(log, procedure)
-        print_message(
-            f"{kind_of(log)} {folder.name}: {log.state}; it waits for no answer, so none was "
-            f"sent. In progress: {moving}"
-        )
-        return 0
     if args.answer:
         order(folder, "answer", choice=args.answer, timeout_s=MEASURED_S)
         print_message(f"run {folder.name}: answered {args.answer}; the run continues")
         return 0
     answer = order(folder, "proceed", until=newest)
     print_message(f"run {folder.name}: asked to continue; it was {answer.state}")
+    return 0
+
+
+def _leave_working(
+    folder: Path, engine: EngineFile, args: Resume, log: Log, procedure: Procedure, state: str
+) -> int:
+    """Say that a live run works, since when and on what; raises `HilcellError` if it ends now."""
+    began = [f" since {each.t[:19]}Z" for each in log.life if each.change.to == "checking"]
+    since = f"in process {engine.pid}{(began or [''])[-1]}"
+    what, watch = f"{kind_of(log)} {folder.name} is {state} {since}", command_on(folder, "watch")
+    if state not in ("idle", "checking", "running"):
+        raise HilcellError(
+            f"{what}; `{watch}` until it has ended, then `{command_on(folder, 'resume')}`",
+            code="HC-J08",
+        )
+    for key in args.retake:
+        order(folder, "retake", key=key)
+    announced = log.happened(Announced)
+    moving = announced[-1].motion if announced else _moves(log, procedure)
+    print_message(
+        f"{what}; it waits for no answer, so none was sent. In progress: {moving}. `{watch}` "
+        f"follows it, `{command_on(folder, 'pause')}` pauses it"
+    )
     return 0
 
 

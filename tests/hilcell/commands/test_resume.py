@@ -228,6 +228,25 @@ def test_a_motion_under_way_is_named_and_nothing_is_asked(
     assert '"yes"' not in said
 
 
+@pytest.mark.parametrize(
+    ("words", "state", "code"),
+    [((), "checking", 0), (("--unattended",), "running", 0), ((), "stopping", 2)],
+)
+def test_a_run_that_works_is_said_to_work_and_never_to_continue(
+    words: tuple[str, ...],
+    state: str,
+    code: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert live(tmp_path / "r", monkeypatch, words, state, state=state) == (code, ["status"])
+    said = capsys.readouterr().err
+    assert f"run r is {state} in process 1 since 20" in said
+    assert "hilcell watch r" in said
+    assert "continues" not in said
+
+
 CHANGE = f"hilcell 0.0.1 began this run, this is {__version__}"
 
 
