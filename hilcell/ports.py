@@ -366,7 +366,10 @@ class Inspects(Protocol):
     """A driver, not connected, that lists the abilities of its device."""
 
     def inspect(self) -> list[Ability]:
-        """Open the wire, read, close it; nothing is written, powered or moved."""
+        """Open the wire, read, close it; nothing is changed, powered or moved.
+
+        A value may be written back as it was read, to a device without power, to show that it can.
+        """
 
 
 @dataclass(frozen=True, slots=True)

@@ -305,15 +305,16 @@ class CanopenRail:
         return bus_scan.discover(known)
 
     def inspect(self) -> list[Ability]:
-        """As `hilcell.ports.Inspects`, by SDO uploads alone; of a strip on the drive's bus, too."""
+        """As `hilcell.ports.Inspects`, by SDO alone; of a strip on the drive's bus, too."""
         o, check = self._options, self._clock.check
         link = CanLink(open_bus(o.interface, o.channel, o.bitrate), self._clock)
         try:
             drive = open_channel(link, o.drive_node, "drive.eds", check)
-            found = [*requirements.inspect(drive, "Drive", requirements.DRIVE)]
+            off = requirements.is_off(drive)
+            found = [*requirements.inspect(drive, "Drive", requirements.DRIVE, off=off)]
             if o.strip is None:
                 strip = open_channel(link, o.strip_node, "strip.eds", check)
-                found += requirements.inspect(strip, "Strip", requirements.STRIP)
+                found += requirements.inspect(strip, "Strip", requirements.STRIP, off=off)
             return found
         finally:
             link.close()

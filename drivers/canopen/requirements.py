@@ -1,7 +1,7 @@
 """Objects that drive and strip sensor must have, or may lack, as one table.
 
-`docs/hardware.md` shows it, and `inspect` compares it with a device: by reading alone, so an object
-that can be read but not written shows only at connect.
+`docs/hardware.md` shows it, and `inspect` compares it with a device: by reading, and by writing
+back what it has read, which changes nothing and shows what is read only.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
+from drivers.canopen import cia
+from drivers.canopen.cia import Object, State
 from drivers.canopen.sdo import ABSENT, Aborted, SdoChannel
 from hilcell.ports import Ability
 
@@ -20,7 +22,8 @@ Need = Literal["mandatory", "optional"]
 class Requirement:
     """One object; ``instead`` replaces an optional one.
 
-    ``sub`` -1: an array or a plain value, as the maker likes.
+    ``sub`` -1: an array or a plain value, as the maker likes. ``setting``: connect writes it;
+    ``takes``: the values of which one must be, of any where it is empty.
     """
 
     index: int
@@ -28,20 +31,26 @@ class Requirement:
     purpose: str
     needed: Need = "mandatory"
     instead: str = ""
+    setting: bool = False
+    takes: tuple[int, ...] = ()
 
     @property
     def name(self) -> str:
         return f"{self.index:04X}h" + (f":{self.sub:02X}" if self.sub > 0 else "")
 
 
-def _may(index: int, sub: int, purpose: str, instead: str) -> Requirement:
-    return Requirement(index, sub, purpose, "optional", instead)
+def _may(index: int, sub: int, purpose: str, instead: str, *, setting: bool = False) -> Requirement:
+    return Requirement(index, sub, purpose, "optional", instead, setting)
+
+
+def _set(index: int, sub: int, purpose: str, *takes: int) -> Requirement:
+    return Requirement(index, sub, purpose, setting=True, takes=takes)
 
 
 COMMON = (
     Requirement(0x1000, 0, "device profile"),
     Requirement(0x1001, 0, "error register"),
-    Requirement(0x1017, 0, "producer heartbeat"),
+    _set(0x1017, 0, "producer heartbeat"),
     Requirement(0x1018, 1, "vendor"),
     _may(0x1018, 2, "product", "not compared"),
     _may(0x1018, 4, "serial number", "not compared"),
@@ -49,32 +58,32 @@ COMMON = (
 )
 DRIVE = (
     *COMMON,
-    Requirement(0x1016, 1, "consumer heartbeat: notices that the PC has died"),
+    _set(0x1016, 1, "consumer heartbeat: notices that the PC has died"),
     Requirement(0x1400, 1, "an RPDO for 6040h with 607Ah; a fixed mapping of the two suffices"),
     Requirement(0x1800, 1, "a TPDO on SYNC for 6041h with 6064h; a fixed mapping suffices"),
     Requirement(0x1801, 1, "a TPDO on SYNC for 606Ch; a fixed mapping suffices"),
-    Requirement(0x6007, 0, "abort connection option: takes 3, quick stop"),
+    _set(0x6007, 0, "abort connection option: takes 3, quick stop", 3),
     Requirement(0x6040, 0, "control word"),
     Requirement(0x6041, 0, "status word"),
-    Requirement(0x605A, 0, "quick-stop option: takes 2; 1 without 6085h"),
+    _set(0x605A, 0, "quick-stop option: takes 2; 1 without 6085h", 2, 1),
     Requirement(0x6060, 0, "mode of operation: takes 1 and 6; write-only is accepted"),
     Requirement(0x6061, 0, "mode shown, in a PDO or by SDO"),
     Requirement(0x6064, 0, "position"),
     Requirement(0x606C, 0, "speed"),
     Requirement(0x607A, 0, "target position"),
-    Requirement(0x6081, 0, "speed of motions"),
-    Requirement(0x6083, 0, "ramp of motions"),
-    _may(0x6098, 0, "homing method", 'homing = "absolute"'),
-    _may(0x6099, 1, "homing speeds", "not needed for homing 35, 37 or absolute"),
-    _may(0x607C, 0, "home offset", "home_mm = 0; needed for homing 35 and 37"),
-    _may(0x6084, 0, "braking ramp", "6083h holds for both"),
-    _may(0x6085, 0, "quick-stop ramp", "605Ah = 1"),
-    _may(0x605E, 0, "fault reaction", "the drive's own"),
-    _may(0x609A, 0, "ramp of homing", "the drive's own"),
-    _may(0x6067, 0, "position window", "hilcell judges the position"),
-    _may(0x6068, 0, "position window time", "hilcell judges the position"),
-    _may(0x606F, 0, "velocity threshold", "hilcell judges standstill"),
-    _may(0x6070, 0, "velocity threshold time", "hilcell judges standstill"),
+    _set(0x6081, 0, "speed of motions"),
+    _set(0x6083, 0, "ramp of motions"),
+    _may(0x6098, 0, "homing method", 'homing = "absolute"', setting=True),
+    _may(0x6099, 1, "homing speeds", "not needed for homing 35, 37 or absolute", setting=True),
+    _may(0x607C, 0, "home offset", "home_mm = 0; needed for homing 35 and 37", setting=True),
+    _may(0x6084, 0, "braking ramp", "6083h holds for both", setting=True),
+    _may(0x6085, 0, "quick-stop ramp", "605Ah = 1", setting=True),
+    _may(0x605E, 0, "fault reaction", "the drive's own", setting=True),
+    _may(0x609A, 0, "ramp of homing", "the drive's own", setting=True),
+    _may(0x6067, 0, "position window", "hilcell judges the position", setting=True),
+    _may(0x6068, 0, "position window time", "hilcell judges the position", setting=True),
+    _may(0x606F, 0, "velocity threshold", "hilcell judges standstill", setting=True),
+    _may(0x6070, 0, "velocity threshold time", "hilcell judges standstill", setting=True),
     _may(0x603F, 0, "error code", "the emergency"),
     _may(0x60FD, 0, "limit switches", "the end of the travel"),
     _may(0x6090, 1, "counts of a turn", "counts_per_turn"),
@@ -108,17 +117,36 @@ def table() -> str:
     return "\n".join((*head, *rows)) + "\n"
 
 
-def inspect(sdo: SdoChannel, device: str, requirements: Iterable[Requirement]) -> Iterator[Ability]:
-    """Compare a node with its list; raises `DeviceError` where it does not answer."""
+def is_off(drive: SdoChannel) -> bool:
+    """Whether a drive shows that it has no power and that nothing prepares it for any."""
+    try:
+        state = cia.state_of(drive.read(Object.STATUSWORD))
+    except Aborted:
+        return False
+    return state in (State.SWITCH_ON_DISABLED, State.FAULT)
+
+
+def inspect(
+    sdo: SdoChannel, device: str, requirements: Iterable[Requirement], *, off: bool
+) -> Iterator[Ability]:
+    """Compare a node with its list; raises `DeviceError` where it does not answer.
+
+    ``off``: nothing has power, so settings are written back as they are.
+    """
     for each in requirements:
         feature = f"{each.name} {each.purpose}"
         try:
             data = sdo.read_bytes(each.index, max(0, each.sub))
         except Aborted as refusal:
-            if refusal.abort_code in ABSENT:
-                yield Ability(device, feature, "has not", each.needed, each.instead)
-                continue
-            note = f"does not let it be read ({refusal.found})"
+            absent = refusal.abort_code in ABSENT
+            note = each.instead if absent else f"does not let it be read ({refusal.found})"
+            yield Ability(device, feature, "has not" if absent else "has", each.needed, note)
+            continue
+        value = int.from_bytes(data, "little")
+        note = f"0x{value:X}" if len(data) <= 4 else ""
+        if not (off and each.setting and sdo.is_read_only(each.index, each.sub)):
+            yield Ability(device, feature, "has", each.needed, note)
+        elif each.takes and value not in each.takes:
+            yield Ability(device, feature, "has not", each.needed, f"read only at {note}")
         else:
-            note = f"0x{int.from_bytes(data, 'little'):X}" if len(data) <= 4 else ""
-        yield Ability(device, feature, "has", each.needed, note)
+            yield Ability(device, feature, "read only", each.needed, note)

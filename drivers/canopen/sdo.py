@@ -30,6 +30,7 @@ REPLY_S = 0.3
 
 # No such object, no such sub-index, no data available.
 ABSENT = frozenset({0x06020000, 0x06090011, 0x08000024})
+READ_ONLY = frozenset({0x06010000, 0x06010002})  # unsupported access, a write to a read-only object
 
 
 class Aborted(DeviceError):
@@ -187,6 +188,14 @@ class SdoChannel:
         refusal = self.offer(index, sub, value)
         if refusal is not None and not (optional and refusal.abort_code in ABSENT):
             raise Unsupported(refusal, f"{_name(index, sub)} = {value} ({what})")
+
+    def is_read_only(self, index: int, sub: int) -> bool:
+        """Whether the device refuses to be written the value that it has; raises `DeviceError`."""
+        try:
+            self.command(index, sub, self.read(index, sub))
+        except Aborted as refusal:
+            return refusal.abort_code in READ_ONLY
+        return False
 
     def command(self, index: int, sub: int, value: int) -> str:
         """Write what the device obeys at once; its state shows whether it did. Return the

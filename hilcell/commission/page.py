@@ -179,11 +179,11 @@ def _checks(rows: Iterator[Shown] | list[Shown], title: str) -> Table:
 
 
 def _lacking(record: StepRecord) -> Check:
-    """Return the many abilities of the devices as one, which names those that they lack."""
-    lacks = [each.what for each in record.checks if each.found.startswith(LACKS)]
+    """Return the many abilities of the devices as one, which names those lacking or read only."""
+    lacks = [f"{each.what}: {each.found}" for each in record.checks if each.found.startswith(LACKS)]
     return Check(
         what=f"{len(record.checks)} abilities",
-        found="; ".join([f"{len(lacks)} lacking", *lacks]),
+        found="; ".join([f"{len(lacks)} lacking or read only", *lacks]),
         expected="none of them mandatory",
         holds=record.holds,
     )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-ABILITIES, LACKS = "abilities", "has not"
+ABILITIES = "abilities"
+LACKS = ("has not", "read only")  # states of an ability that a person should see
 
 
 class Step(NamedTuple):

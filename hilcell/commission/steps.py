@@ -154,11 +154,11 @@ def checks_of(log: Log) -> list[Check]:
 
 
 def lines_of(record: StepRecord) -> list[str]:
-    """Return a line a check; of the devices' many abilities only those that they lack."""
+    """Return a line a check; of the devices' many abilities those that are lacking or read only."""
     lines, shown = [], record.checks
     if record.step == ABILITIES:
         shown = [each for each in record.checks if each.found.startswith(LACKS)]
-        lines = [f"{len(record.checks)} abilities, {len(shown)} of them lacking"]
+        lines = [f"{len(record.checks)} abilities, {len(shown)} of them lacking or read only"]
     for each in shown:
         mark = "" if each.holds else " DIFFERS:"
         lines.append(f"{each.what}:{mark} {each.found}; expected {each.expected}")

@@ -74,7 +74,7 @@ def test_the_page_names_cell_devices_steps_people_and_times(cell: Path) -> None:
         "ended, UTC": "2026-11-29 10:02:40",
     }
     proved = page.table("What each step has proved")
-    assert [row["found"] for row in proved] == ["0 lacking", "scale read", "stop read"]
+    assert [row["found"] for row in proved] == ["0 lacking or read only", "scale read", "stop read"]
     repeated = page.table("Repeated: readings of earlier attempts that differ")
     assert [row["found"] for row in repeated] == ["DIFFERS: scale read"]
 
