@@ -185,11 +185,16 @@ class FindBase(_Proving):
     name = "find-base"
     needs = "the tracker's pose, a reflector on the flange, the robot at its safe pose"
     moves = (
-        "the slide by 20, 100 and 300 mm and back; each axis by 1 and 8 deg, then all axes by at "
-        f"most {MORE_DEG:g} deg around the safe pose, at {BASE_PERCENT:g} %"
+        "each axis by 1 and 8 deg, then all axes by at most "
+        f"{MORE_DEG:g} deg around the safe pose, at {BASE_PERCENT:g} %"
     )
     measures = "the reflector on the flange after each motion"
     yields = "the rail's direction, the base in {W}, the reflector on the flange"
+
+    def announced(self, cell: Cell) -> str:
+        distances = ", ".join(f"{each:g}" for each in RAIL_MM)
+        slide = f"the slide by {distances} mm, each from where it stands, and back; "
+        return slide + self.moves if cell.has_rail else self.moves
 
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         joints_rad = self._poses(cell, seed)
@@ -388,10 +393,8 @@ class FindBase(_Proving):
             found=f"x {pose['x_mm']:.1f}, y {pose['y_mm']:.1f}, z {pose['z_mm']:.1f} mm in {{W}} "
             f"at 0 mm of the rail, u {u_mm:.2f} mm",
             expected=f"u <= {cell.layout.base_tolerance_mm:g} mm",
-            values={
-                "layout.base": pose,
-                "layout.rail_direction": [float(each) for each in along],
-            },
+            values={"layout.base": pose}
+            | ({"layout.rail_direction": along.tolist()} if cell.has_rail else {}),
         )
 
     @staticmethod

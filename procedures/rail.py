@@ -176,6 +176,8 @@ class HoldStation(Step):
     yields = "a held station"
 
     def announced(self, cell: Cell) -> str:
+        if not cell.has_rail:
+            return "nothing"
         station = cell.reference
         return f"the slide to {station.name}, {station.strip_mm:.0f} mm of the strip; robot parked"
 

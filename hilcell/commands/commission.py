@@ -17,7 +17,7 @@ from hilcell.commands.signatures import Commission
 from hilcell.commission.dialogue import TypedDialogue
 from hilcell.commission.page import CommissioningPage, page_html, page_path
 from hilcell.commission.record import record_path
-from hilcell.commission.sequence import STEPS, Step
+from hilcell.commission.sequence import Step
 from hilcell.commission.steps import Commissioning, StepEnded, standing, steps_to_perform
 from hilcell.errors import EXIT_OK, EXIT_OUT_OF_TOLERANCE, HilcellError
 from hilcell.journal.journal import Record
@@ -67,7 +67,7 @@ def _list(path: Path) -> int:
                 Column("ended, UTC", page.ended),
                 Column("operator", page.operator),
             ],
-            list(STEPS),
+            page.sequence,
         )
     )
     return EXIT_OK

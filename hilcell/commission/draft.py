@@ -38,7 +38,6 @@ def write_robot(text: CellText, known: KnownRobot) -> None:
             [joint_row(joint) for joint in robot.joint],
             f"nominal, of the maker's {robot.name}",
         ),
-        ("grid.station", "S1", ""),
         ("grid.centre", pose_row(grid.centre), ""),
         ("grid.size_mm", list(grid.size_mm), ""),
         ("grid.pitch_mm", grid.pitch_mm, ""),
@@ -63,7 +62,9 @@ def write_travel(text: CellText, room_mm: float) -> None:
 
 
 def write_places(text: CellText, slide_nests: int) -> None:
-    """Write assumed places of tracker, base, slide nests and the first station."""
+    """Write assumed places of tracker and base, and, unless there are no nests on a slide, of these
+    and of the first station.
+    """
     turns = [2.0 * math.pi * n / slide_nests for n in range(slide_nests)]
     nests = [
         {
@@ -75,15 +76,22 @@ def write_places(text: CellText, slide_nests: int) -> None:
         for n, turn in enumerate(turns)
     ]
     middle_mm = _middle_of_travel(text)
-    for key, value in (
-        ("tracker.find_radius_mm", 50.0),
+    write_new(text, "tracker.find_radius_mm", 50.0)
+    assumed: list[tuple[str, object]] = [
         ("tracker.pose", {"x_mm": 4000.0, "y_mm": 0.0, "z_mm": 1500.0, "a_deg": 180.0}),
         ("layout.base", {"x_mm": 0.0, "y_mm": 0.0, "z_mm": 300.0}),
-        ("layout.rail_direction", [0.0, 1.0, 0.0]),
-        ("layout.slide", nests),
-        ("station", [{"name": "S1", "rail_mm": middle_mm, "strip_mm": middle_mm}]),
-    ):
-        write_new(text, key, value, "" if key == "tracker.find_radius_mm" else ASSUMED)
+    ]
+    if nests:
+        write_new(text, "grid.station", "S1")
+        assumed += [
+            ("layout.rail_direction", [0.0, 1.0, 0.0]),
+            ("layout.slide", nests),
+            ("station", [{"name": "S1", "rail_mm": middle_mm, "strip_mm": middle_mm}]),
+        ]
+    else:
+        write_new(text, "touch.poses", 0, "a pose without a rail has nothing to touch")
+    for key, value in assumed:
+        write_new(text, key, value, ASSUMED)
 
 
 def write_new(text: CellText, path: str, value: object, comment: str = "") -> None:

@@ -90,7 +90,12 @@ class WhichDevices:
         if driver is None:
             group = GROUPS[table]
             makes = {name: summary_of(load_entry(group, name)) for name in installed(group)}
-            driver = self._dialogue.choose(f"{table}: which driver?", makes)
+            known_none = table == "rail" and self._text.get("layout.base") is not None
+            driver = (
+                NO_RAIL if known_none else self._dialogue.choose(f"{table}: which driver?", makes)
+            )
+            if driver == NO_RAIL:  # a cell file without a rail has no such table
+                return Check(what="rail", found="none", expected="a rail, or none", holds=True)
             self._text.set(f"{table}.driver", driver)
         kind = load_entry(GROUPS[table], str(driver))
         stated = self._text.get(f"{table}.options")
@@ -192,7 +197,7 @@ class WhichDevices:
         write_robot(self._text, robot)
 
     def _rail(self) -> None:
-        if self._text.get("rail.driver") == NO_RAIL:
+        if self._text.get("rail") is None:
             return
         if self._text.get("rail.travel_min_mm") is None:
             room_mm = self._dialogue.ask(
@@ -219,7 +224,9 @@ class WhichDevices:
                 "floor nests: a CSV file of the drawing (name,x_mm,y_mm,z_mm in {W})", drawing
             )
             self._text.set("layout.floor", nests, "of the drawing")
-        if self._text.get("layout.slide") is None:
+        if self._text.get("rail") is None:
+            write_places(self._text, 0)
+        elif self._text.get("layout.slide") is None:
             count = self._dialogue.ask(
                 "how many nests are on the slide?", lambda text: int(number(3, 100, "")(text)), "4"
             )

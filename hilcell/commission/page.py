@@ -12,7 +12,7 @@ from hilcell import __version__
 from hilcell.cell.settings import read_file
 from hilcell.commission.cell_text import CellText, shown
 from hilcell.commission.record import Check, Commissioned, StepRecord, StepStatus, cell_names
-from hilcell.commission.sequence import ABILITIES, LACKS, STEPS, Step
+from hilcell.commission.sequence import ABILITIES, LACKS, Step, steps_of
 from hilcell.identity import Identity
 from hilcell.present.renderers import environment
 from hilcell.present.table import Column, Table, listed
@@ -35,13 +35,14 @@ class CommissioningPage:
         """Raises `SettingsError` for a file or a record that cannot be read."""
         self.file = path.name
         self._text, self._record = CellText.read(path), Commissioned.read(path)
+        self.sequence = steps_of(self._text)
         self.name, self.serial = cell_names(self._text)
         self.digest = sha256(read_file(path)).hexdigest() if path.exists() else ""
         self.simulated = self._text.get("simulation") is not None
 
     @property
     def unproved(self) -> list[str]:
-        return [step.name for step in STEPS if self.status(step) != "proved"]
+        return [step.name for step in self.sequence if self.status(step) != "proved"]
 
     @property
     def operators(self) -> str:
@@ -80,7 +81,7 @@ class CommissioningPage:
                 Column[Step]("took", lambda step: str(_took(self._performed(step))), form="s"),
                 Column("ended, UTC", self.ended, form="s"),
             ],
-            STEPS,
+            self.sequence,
             "Steps",
         )
 
@@ -105,7 +106,7 @@ class CommissioningPage:
 
     def attempts(self) -> Table:
         """Return what differed in earlier performances of the steps that were repeated."""
-        last = [self._record.last(step.name) for step in STEPS]
+        last = [self._record.last(step.name) for step in self.sequence]
         rows = [
             (each, check)
             for each in self._record.steps
@@ -119,7 +120,7 @@ class CommissioningPage:
         proved = self._record.proved
         rows = [
             (step.name, path, shown(proved[path][1]), shown(self._text.get(path)))
-            for step in STEPS
+            for step in self.sequence
             if self.status(step) == "changed"
             for path in self._record.changed(step.name, self._text)
         ]
@@ -141,11 +142,11 @@ class CommissioningPage:
 
     def not_proved(self) -> list[str]:
         """Return all that nobody has proved, a line each."""
-        open_steps = (step for step in STEPS if self.status(step) != "proved")
+        open_steps = (step for step in self.sequence if self.status(step) != "proved")
         return [f"{step.name}: {step.title}." for step in open_steps] + [*NEVER_PROVED]
 
     def _shown(self) -> Iterator[Shown]:
-        for step in STEPS:
+        for step in self.sequence:
             record = self._record.last(step.name)
             if record is not None and step.name == ABILITIES:
                 yield record, _lacking(record)

@@ -22,7 +22,7 @@ from hilcell.commission.dialogue import Dialogue
 from hilcell.commission.first_steps import WhichDevices, what_devices_can
 from hilcell.commission.page import page_html, page_path
 from hilcell.commission.record import Check, Commissioned, StepRecord
-from hilcell.commission.sequence import ABILITIES, LACKS, NAMES, STEPS, Step
+from hilcell.commission.sequence import ABILITIES, LACKS, Step, steps_of
 from hilcell.errors import HilcellError
 from hilcell.identity import Identity
 from hilcell.journal.log import Log
@@ -48,8 +48,12 @@ class Commissioning:
         The page of the record is written in any case.
         """
         try:
-            for number, step in enumerate(steps, start=1):
-                self.dialogue.begin(step.name, step.title, number, len(steps))
+            for step in steps:
+                # The first step shows whether there is a rail.
+                of_cell = [each for each in steps if each in steps_of(CellText.read(self.path))]
+                if step not in of_cell:
+                    continue
+                self.dialogue.begin(step.name, step.title, of_cell.index(step) + 1, len(of_cell))
                 if not self._perform(step):
                     return False
             return True
@@ -179,17 +183,17 @@ class StepEnded(HilcellError):
 
 def motions(cell: Cell, procedure: Procedure) -> str:
     """Return the question before a run that moves something, "" for one that moves nothing."""
-    moving = [each for each in procedure.steps if each.moves != "nothing"]
+    moves = [(announced(each, cell), each.needs) for each in procedure.steps]
+    moving = [f"  {words} (needs {needs})" for words, needs in moves if words != "nothing"]
     if not moving:
         return ""
-    speeds = (
-        f"the slide at {cell.rail.speed_mm_s:g} mm/s, the robot at {cell.robot.speed_percent:g} %"
-    )
+    robot = f"the robot at {cell.robot.speed_percent:g} %"
+    slide = f"the slide at {cell.rail.speed_mm_s:g} mm/s, " if cell.has_rail else ""
     return "\n".join(
         [
             "it moves, in sequence:",
-            *[f"  {announced(each, cell)} (needs {each.needs})" for each in moving],
-            f"where no speed is given: {speeds}",
+            *moving,
+            f"where no speed is given: {slide}{robot}",
             "is the cell clear, and somebody at the E-stop?",
         ]
     )
@@ -198,7 +202,7 @@ def motions(cell: Cell, procedure: Procedure) -> str:
 def unproved(path: Path) -> list[str]:
     """Return the steps that are not proved with the values that the cell file has."""
     record, text = Commissioned.read(path), CellText.read(path)
-    return [step.name for step in STEPS if record.status(step.name, text) != "proved"]
+    return [each.name for each in steps_of(text) if record.status(each.name, text) != "proved"]
 
 
 def standing(path: Path) -> str:
@@ -214,7 +218,7 @@ def check_proved(path: Path) -> None:
     """
     record = Commissioned.read(path)
     held = {each.step for each in record.steps if each.holds}
-    never = [step.name for step in STEPS if step.name not in held]
+    never = [step.name for step in steps_of(CellText.read(path)) if step.name not in held]
     if record.steps and never:
         raise HilcellError(
             f"{path}: commissioning has not proved {', '.join(never)} yet, so places and signs in "
@@ -229,10 +233,11 @@ def steps_to_perform(path: Path, first: str, only: str) -> Sequence[Step]:
     Raises `SettingsError` for an unknown name, and for a step before which another is not proved:
     it would move by assumed values.
     """
-    name, open_steps = only or first, unproved(path)
-    if name and name not in NAMES:
-        raise SettingsError("step", [f"unknown step {name!r}; known: {', '.join(NAMES)}"])
-    begin = NAMES.index(name or (open_steps[0] if open_steps else NAMES[-1]))
-    if before := [each for each in open_steps if each in NAMES[:begin]]:
+    steps, open_steps = steps_of(CellText.read(path)), unproved(path)
+    name, names = only or first, [step.name for step in steps]
+    if name and name not in names:
+        raise SettingsError("step", [f"unknown step {name!r}; known: {', '.join(names)}"])
+    begin = names.index(name or (open_steps[0] if open_steps else names[-1]))
+    if before := [each for each in open_steps if each in names[:begin]]:
         raise SettingsError("step", [f"{name}: {', '.join(before)} must be proved before it"])
-    return STEPS[begin : begin + 1] if only else STEPS[begin:]
+    return steps[begin : begin + 1] if only else steps[begin:]

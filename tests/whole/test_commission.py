@@ -127,6 +127,33 @@ def test_a_trap_is_named(
     assert proved == pytest.approx(counts_per_mm, rel=5e-3)
 
 
+@pytest.mark.nightly
+def test_a_robot_on_the_floor_is_commissioned_and_calibrated(tmp_path: Path) -> None:
+    file, drawing = tmp_path / "mycell.toml", tmp_path / "nests.csv"
+    nests = load_cell("fixed").layout.fixed_nests
+    rows = [f"{nest.name},{nest.x_mm},{nest.y_mm},{nest.z_mm}" for nest in nests]
+    drawing.write_text("\n".join(["name,x_mm,y_mm,z_mm", *rows, ""]))
+    words = ("--cell", "fixed", "--seed", "7", "--speed", "max")
+    with sim_command(*words, "--ports", "robot=0,tracker=0,control=0") as simulation:
+        typed = [
+            "HC-7",
+            simulation.control,
+            "kuka-c3",
+            "none",
+            "leica-emscon",
+            "",
+            "",
+            str(drawing),
+        ]
+        done = commission(file, "\n".join([*typed, *["y"] * 30, ""]))
+        assert done.returncode == 0, done.stderr[-3000:]
+        assert "step 7 of 7, proof" in done.stderr
+        assert "slide" not in file.read_text()
+        assert "the slide" not in done.stderr
+        ran = hilcell("run", "--cell", file, "--runs", tmp_path / "runs")
+        assert ran.returncode == 0, ran.stderr[-3000:]
+
+
 def test_the_steps_are_listed_without_a_file(tmp_path: Path) -> None:
     done = hilcell("commission", tmp_path / "mycell.toml", "--list")
     assert done.returncode == 0

@@ -53,17 +53,34 @@ def test_a_draft_of_assumed_places_drives_nothing_else(tmp_path: Path) -> None:
     assert unproved(tmp_path / "hall.toml") == []
 
 
+def test_a_cell_without_a_rail_has_no_steps_of_one(tmp_path: Path) -> None:
+    cell = proved(tmp_path / "floor.toml", *NAMES[:3])
+    cell.write_text('name = "hall"\n[layout]\nbase = {x_mm = 0.0, y_mm = 0.0, z_mm = 0.0}\n')
+    left = [step.name for step in steps_to_perform(cell, "", "")]
+    assert left == ["robot", "tracker", "base", *NAMES[NAMES.index("stations") + 1 :]]
+    with pytest.raises(SettingsError, match="unknown step 'rail'"):
+        steps_to_perform(cell, "", "rail")
+
+
+@pytest.mark.parametrize("step", [step for step in STEPS if step.procedure], ids=lambda s: s.name)
+def test_a_step_of_the_rail_is_a_run_of_the_rail(step: Step) -> None:
+    assert step.of_rail == load_entry("procedures", step.procedure).of_rail
+
+
 @pytest.mark.parametrize("step", [step for step in STEPS if step.procedure], ids=lambda s: s.name)
 def test_the_question_names_every_motion_and_the_speeds(step: Step) -> None:
     procedure: Procedure = load_entry("procedures", step.procedure)
     cell = load_cell("paper")
     question = motions(cell, procedure)
-    moving = [each for each in procedure.steps if each.moves != "nothing"]
+    moving = [each for each in procedure.steps if announced(each, cell) != "nothing"]
     assert bool(question) == bool(moving)
     for each in moving:
         assert f"  {announced(each, cell)} (needs {each.needs})\n" in question
     if moving:
         assert "the slide at 250 mm/s, the robot at 30 %" in question
+        on_the_floor = motions(load_cell("fixed"), procedure)
+        assert "the slide at" not in on_the_floor
+        assert step.of_rail or "  the slide" not in on_the_floor
 
 
 def test_the_question_says_how_far_and_where_to() -> None:
