@@ -59,7 +59,7 @@ class WhichDevices:
         self._controller(load_cell(str(self._path)), addresses)
         return [
             Check(
-                what=f"{table} ({self._text.get(f'{table}.driver')})",
+                what=f"{table} ({self._text.get(f'{table}.driver') or NO_RAIL})",
                 found=device.title,
                 expected="a device that answers",
                 holds=True,
@@ -95,7 +95,7 @@ class WhichDevices:
                 NO_RAIL if known_none else self._dialogue.choose(f"{table}: which driver?", makes)
             )
             if driver == NO_RAIL:  # a cell file without a rail has no such table
-                return Check(what="rail", found="none", expected="a rail, or none", holds=True)
+                return ports.Candidate("none", {}, [])
             self._text.set(f"{table}.driver", driver)
         kind = load_entry(GROUPS[table], str(driver))
         stated = self._text.get(f"{table}.options")
