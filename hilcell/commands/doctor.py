@@ -41,8 +41,8 @@ from hilcell.clock import WallClock
 from hilcell.commands.console import print_data, print_json
 from hilcell.commands.signatures import Doctor
 from hilcell.errors import EXIT_REFUSED
+from hilcell.journal.disk_space import bytes_free, bytes_needed, nearest_existing
 from hilcell.journal.journal import StorageError
-from hilcell.journal.runs import bytes_free, bytes_needed, nearest_existing
 from hilcell.ports import DeviceError, StatesSettings
 from hilcell.report.pdf import find_browser
 from hilcell.run.cell_lock import CellLocked, lock_of_device, locked, locks_folder

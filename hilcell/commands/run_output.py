@@ -208,7 +208,9 @@ def print_end(
         print_message(failure_text(key, verdict))
     if log.link is not None and log.link.warning:
         print_message(f"warning: {log.link.warning}")
-    print_message(f"{kind_of(log)} {folder.name}: {end_text(log)}; journal in {folder}")
+    gone = log.end is None and fault is not None
+    end = f"{log.state}, its end could not be recorded" if gone else end_text(log)
+    print_message(f"{kind_of(log)} {folder.name}: {end}; journal in {folder}")
 
 
 def _print_result(procedure: Procedure, output: RunOutput, result: Json) -> None:

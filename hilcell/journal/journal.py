@@ -277,8 +277,10 @@ class Journal:
         self._read_back_to = self._seq
 
     def _no_room(self, found: str, error: sqlite3.Error) -> StorageError:
+        from hilcell.journal.disk_space import shortage  # a list of runs does without
+
         return StorageError(
-            f"journal {self.path}: {found}: {error}; "
+            f"journal {self.path}: {found}: {error}{shortage(self.path.parent)}; "
             f"make room or repair the disk, then `{self._again}`",
             code="HC-J01",
         )

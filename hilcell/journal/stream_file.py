@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilcell.identification.axis_motion import SweepStream
+from hilcell.journal.disk_space import shortage
 from hilcell.journal.journal import RESTORE_ADVICE, StorageError, is_regular_file
 from hilcell.model.events import StreamRecorded
 from hilcell.ports import JointSample, NoReading, StreamBlock
@@ -150,8 +151,8 @@ class StreamFile:
 
     def _failed(self, error: OSError) -> StorageError:
         return StorageError(
-            f"stream {self._path}: {self._key} could not be stored: {error.strerror}; "
-            "make room or repair the disk, then resume the run",
+            f"stream {self._path}: {self._key} could not be stored: {error.strerror}"
+            f"{shortage(self._path.parent)}; make room or repair the disk, then resume the run",
             code="HC-J01",
         )
 

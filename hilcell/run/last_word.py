@@ -20,6 +20,7 @@ from hilcell.calibration.recheck import RecheckResult
 from hilcell.decoding import Json, typed
 from hilcell.errors import EXIT_REFUSED, RESUMABLE, exit_code, facts_of
 from hilcell.journal.calibration_facts import NOT_JUDGED
+from hilcell.journal.disk_space import shortage
 from hilcell.journal.labels import verdict_label, with_labels
 from hilcell.journal.log import Log
 from hilcell.journal.runs_folder import command_in, command_on
@@ -68,6 +69,7 @@ def last_word(log: Log, folder: Path, fault: Exception | None = None) -> LastWor
         words = _faulted(log, folder, facts_of(fault), exit_code(fault))
     elif end is None:
         because = f"the process of the run has died while it was {log.state}; {_progress(log)}"
+        because += shortage(folder)  # the likely cause, which no record could tell
         words = "INTERRUPTED", because, (command_on(folder, "resume"),)
     elif log.state == "finished":
         words = _finished(log, folder)

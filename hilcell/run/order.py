@@ -89,7 +89,8 @@ class Order(Signature):
         from hilcell.cell.differences import check_identity
         from hilcell.cell.file import located
         from hilcell.cell.settings import SettingsError
-        from hilcell.journal.runs import check_space, new_run
+        from hilcell.journal.disk_space import check_space
+        from hilcell.journal.runs import new_run
         from hilcell.run import run_plan
 
         cell = load_measured(self.cell, dict(self.settings))
@@ -156,6 +157,7 @@ class Resume(Signature):
         from hilcell.cell.devices import check_options, load_entry
         from hilcell.cell.settings import SettingsError
         from hilcell.errors import HilcellError
+        from hilcell.journal.disk_space import check_space
         from hilcell.journal.runs import CALIBRATION
         from hilcell.journal.runs_folder import command_on
         from hilcell.run.run_plan import Changes, ResumedRun, changed_inputs
@@ -189,6 +191,7 @@ class Resume(Signature):
                     f"`{command_on(folder, 'resume')}`",
                     code=error.code,
                 ) from error
+            check_space(folder.parent, log.inputs.points - log.counted)
             found = changed_inputs(log, procedure.used_in(log.cell))
             can_ask = operator_present or (attendance.screen and not attendance.unattended)
             changes = Changes(found, self.accept_changes, can_ask)

@@ -1,4 +1,6 @@
-"""A run whose disk has too little room is refused before anything moves, and leaves nothing."""
+"""A run whose disk has too little room is refused before anything moves; one whose disk becomes
+full says so, and how much room it needs.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,8 @@ import pytest
 
 from hilcell.alarms.catalogue import entry_of
 from hilcell.errors import HilcellError
-from hilcell.journal.runs import bytes_needed, check_space
+from hilcell.journal.disk_space import bytes_needed, check_space
+from tests.hilcell.commands.full_disk import files_limited_to
 from tests.whole.bench import command
 
 
@@ -76,3 +79,20 @@ def test_nothing_is_made_where_there_is_no_room(
     assert all(word in done.stderr for word in ("5.3 MB", "20.0 MB", "--runs"))
     assert not list(tmp_path.iterdir())
     assert command("run", "home", "--dry-run", "--runs", runs).returncode == 0  # writes nothing
+
+
+def test_a_disk_that_becomes_full_is_named_with_the_room_that_is_needed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs, words = tmp_path / "runs", ("5.3 MB", str(tmp_path), "20.0 MB")
+    with monkeypatch.context() as patched, files_limited_to(60_000):
+        free = iter([10**9])  # as it begins
+        patched.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=next(free, 5_300_000)))
+        done = command("run", "home", "--name", "r", "--runs", runs)
+        watched = command("watch", "r", "--runs", runs)
+        refused = command("resume", "r", "--runs", runs)
+    assert (done.returncode, watched.returncode, refused.returncode) == (7, 0, 2)
+    for each in (done, watched, refused):
+        assert all(word in each.stderr for word in words)
+    assert "process has died" not in done.stderr
+    assert command("resume", "r", "--runs", runs).returncode == 0

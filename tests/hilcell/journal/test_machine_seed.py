@@ -59,7 +59,7 @@ def test_a_machine_that_this_run_did_not_start_has_no_seed_in_the_record(
         return msgspec.structs.replace(load_cell("paper"), simulation=None, name="n", serial="s")
 
     if not address:
-        monkeypatch.setattr("hilcell.cell.file.load_cell", real)
+        monkeypatch.setattr("hilcell.cell.devices.load_cell", real)
     words = ["--name", "R", "--runs", str(tmp_path), f"--set=simulation.address={address}"]
     assert main(["run", "home", *words]) == 3
     inputs = read_log(tmp_path / "R").inputs

@@ -129,7 +129,7 @@ def test_a_run_that_finds_its_device_locked_leaves_no_run(
         cell = load_cell("paper", {"rail.options.channel": "socket://192.0.2.1:9"})
         return msgspec.structs.replace(cell, simulation=None, name="n", serial="s")
 
-    monkeypatch.setattr("hilcell.cell.file.load_cell", real)
+    monkeypatch.setattr("hilcell.cell.devices.load_cell", real)
     with locked(lock_of_device("192.0.2.1:9"), "rail", "other"):
         assert main(["run", "home", "--name", "R", "--runs", str(tmp_path)]) == 6
     assert "other" in capsys.readouterr().err
