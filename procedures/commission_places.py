@@ -17,15 +17,11 @@ from hilcell.cell.file import Cell, Pose
 from hilcell.decoding import Json
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.kinematics import forward
+from hilcell.geometry.statistics import rounded
 from hilcell.identification.axis_directions import check_axes
-from hilcell.identification.places import (
-    BaseFit,
-    Recognition,
-    fit_base,
-    rail_direction,
-    rail_scale,
-    recognised,
-)
+from hilcell.identification.mounted_reflector import BaseFit, NominalBase, fit_base, nominal_base
+from hilcell.identification.places import RailLine, Recognition, may_be_nests, rail_line, recognised
+from hilcell.identification.reflector_radius import reflectors_of
 from hilcell.journal.log import Log
 from hilcell.model.events import PlaceSeen
 from hilcell.model.plan import PlannedStep, Span
@@ -114,14 +110,26 @@ class FindTracker(_Proving):
             f"mm{doubt}" + (f"; not found: {', '.join(missing)}" if missing else ""),
             expected=f"all nests, within {session.cell.layout.nest_tolerance_mm:g} mm",
         )
-        pose = pose_values(best.T_W_L)
+        if best.shift_mm:
+            prove(
+                session,
+                "reflector",
+                holds=False,
+                found=f"every reading is {best.shift_mm:+.2f} mm off along its beam: reflectors of "
+                f"{reflectors_of(best.shift_mm)}",
+                expected=f"{session.cell.tracker.reflector}; seat these, or correct "
+                "tracker.reflector, and repeat the step",
+            )
+            return
+        U_deg = float(np.degrees(best.U_rad))
+        pose = pose_values(best.T_W_L, best.U_mm, U_deg)
         stands = "upright" if best.upright else "upside down"
         prove(
             session,
             "tracker",
             holds=True,
             found=f"x {pose['x_mm']:.0f}, y {pose['y_mm']:.0f}, z {pose['z_mm']:.0f} mm in {{W}}, "
-            f"{stands}",
+            f"{stands}; U {best.U_mm:.2g} mm, {U_deg:.2g} deg (k = 2)",
             expected="a pose by three nests or more",
             values={"tracker.pose": pose},
         )
@@ -134,49 +142,43 @@ def not_a_nest(nominal_mm: Array, taken_mm: Array, limit_mm: float) -> Callable[
         if bool(np.any(np.linalg.norm(taken_mm - at_mm, axis=1) < SAME_MM)):
             return "this nest is taken already"
         seen_mm = np.vstack([taken_mm, at_mm])
-        if len(seen_mm) > 2:
-            agrees = bool(recognised(nominal_mm, seen_mm, limit_mm)) and _all_recognised(
-                nominal_mm, seen_mm, limit_mm
-            )
-        elif len(seen_mm) == 2:
-            apart = np.linalg.norm(nominal_mm[:, None] - nominal_mm, axis=-1)
-            apart_mm = float(np.linalg.norm(seen_mm[0] - seen_mm[1]))
-            agrees = bool(np.any(np.abs(apart - apart_mm) <= 2.0 * limit_mm))
-        else:
-            agrees = True
-        return "" if agrees else "its distances are those of no nest of the drawing"
+        if len(seen_mm) < 2 or may_be_nests(nominal_mm, seen_mm, limit_mm):
+            return ""
+        return "its distances are those of no nest of the drawing"
 
     return refusal
-
-
-def _all_recognised(nominal_mm: Array, seen_mm: Array, limit_mm: float) -> bool:
-    return any(min(each.nests) >= 0 for each in recognised(nominal_mm, seen_mm, limit_mm))
 
 
 def places_mm(seen: Sequence[PlaceSeen]) -> Array:
     return np.array([each.xyz_mm for each in seen]).reshape(-1, 3)
 
 
-def pose_values(T: Array) -> Json:
-    """Return a pose (4, 4) as the cell file has it."""
-    values: Json = msgspec.to_builtins(Pose.of(T))
-    return values
+def poses_of(seen: Sequence[PlaceSeen]) -> tuple[Array, Array]:
+    """Return joints (N, 6) in rad and places (N, 3) in the tracker's frame."""
+    return np.radians([each.joints_deg for each in seen]), places_mm(seen)
+
+
+def pose_values(T: Array, U_mm: float, U_deg: float) -> Json:
+    """Return a pose (4, 4) as the cell file has it, with the digits that its U supports."""
+    values: dict[str, float] = msgspec.to_builtins(Pose.of(T))
+    return {
+        key: rounded(value, U_mm if key.endswith("_mm") else U_deg) for key, value in values.items()
+    }
 
 
 # -- rail and base, by the reflector on the flange -------------------------------------------------
 
 RAIL_MM = (20.0, 100.0, 300.0)  # motions of the slide with the parked robot, each from the start
-RIDE_SHARE = (
-    5e-3  # of the distance: the slide tilts by some 0.1 mrad, and the flange is high above it
-)
-DIRECTION_MM = 1.0
+RIDE_SHARE = 5e-3  # of the distance, by which tracker and strip may differ
 AXIS_DEG = (1.0, 8.0)
 MORE_POSES, MORE_DEG = 10, 15.0
 BASE_PERCENT = 5.0
-NOISE_MM, U_TOOL_MM = 0.05, 50.0  # of a place seen; of the reflector about the controller's tool
+NOISE_MM = 0.05  # of a place seen
+# Of the reflector about the controller's tool: where its sense counts, its place, or nothing.
+U_TOOL_MM, U_NEAR_MM, U_ANY_MM = 50.0, 20.0, 1e3
 FIT_MM = 3.0  # of a robot with nominal kinematics, rms
-ARM_U_MM = 2.0  # by which a real arm's zeros and lengths shift the base of a nominal one
-TOOL_MM = 3.0  # likewise, the reflector on the flange
+TOOL_MM = 3.0  # by which a tool that was taught may miss the reflector's centre
+TILT_RAD = 1e-4  # 1 sigma by which a slide tilts over the rail
 
 
 class FindBase(_Proving):
@@ -213,16 +215,13 @@ class FindBase(_Proving):
         cell = session.cell
         session.parked()
         at_start = self._flange(session)
-        along = np.array(cell.layout.rail_direction)
-        if cell.has_rail:
-            found = self._ride(session, at_start)
-            if found is None:
-                return
-            along = found
+        line = self._ride(session, at_start) if cell.has_rail else None
+        if cell.has_rail and line is None:
+            return
         fit = self._fit(session, at_start)
         if fit is None:
             return
-        self._judge_base(session, fit, along, at_start.strip_mm)
+        self._judge_base(session, fit, line, at_start.strip_mm)
 
     def _flange(self, session: CellSession) -> PlaceSeen:
         """Return the reflector that moves with axis 1, at the safe pose."""
@@ -263,8 +262,10 @@ class FindBase(_Proving):
         return float(np.linalg.norm(np.array(seen.xyz_mm) - at_mm)) < 1.0
 
     @staticmethod
-    def _ride(session: CellSession, at_start: PlaceSeen) -> Array | None:
-        """Move the slide with the robot parked; return the rail's direction in {W}, (3,)."""
+    def _ride(session: CellSession, at_start: PlaceSeen) -> RailLine | None:
+        """Move the slide with the robot parked; return the rail's line in {W}, None for a strip of
+        another scale.
+        """
         cell, rail = session.cell, session.devices.rail.read()
         middle_mm = (cell.rail.travel_min_mm + cell.rail.travel_max_mm) / 2.0
         way = 1.0 if rail.strip_mm < middle_mm else -1.0
@@ -281,63 +282,54 @@ class FindBase(_Proving):
             near_mm = np.array(at_start.xyz_mm) + moved_mm * step / distance_mm
             radius_mm = 20.0
         session.rail_to(rail.position_mm)
-        strips_mm = [each.strip_mm for each in seen]
-        R = cell.tracker.pose.matrix()[:3, :3]
-        along = R @ rail_direction(strips_mm, places_mm(seen))
-        scale = rail_scale(strips_mm, places_mm(seen))
+        T_W_L = cell.tracker.pose.matrix()
+        at_mm = apply(T_W_L, places_mm(seen))
+        swing_mm = TILT_RAD * abs(float(at_mm[0, 2]))  # the reflector's height above the rail
+        line = rail_line([each.strip_mm for each in seen], at_mm, swing_mm)
+        holds = abs(line.scale - 1.0) <= RIDE_SHARE
         values: dict[str, object] = {}
-        if not abs(scale - 1.0) <= RIDE_SHARE:
-            options = jogging_rail(session.devices.rail).rescaled(scale, scale, 1.0)
+        if not holds:
+            options = jogging_rail(session.devices.rail).rescaled(line.scale, line.scale, 1.0)
             values = {f"rail.options.{key}": value for key, value in options.items()}
-        right = prove(
+        prove(
             session,
             "scale by the tracker",
-            holds=abs(scale - 1.0) <= RIDE_SHARE,
-            found=f"{scale:.5f} mm by the tracker a mm of the strip, over {RAIL_MM[-1]:g} mm",
+            holds=holds,
+            found=f"{line.scale:.5f} mm by the tracker a mm of the strip, over {RAIL_MM[-1]:g} mm, "
+            f"U {line.U_scale:.1g} (k = 2)",
             expected=f"1 within {RIDE_SHARE:g}",
             values=values,
         )
-        return along if right else None
+        return line if holds else None
 
     def _fit(self, session: CellSession, at_start: PlaceSeen) -> BaseFit | None:
         """Move the robot more and more, each motion predicted by those before it."""
-        cell, arm = session.cell, session.cell.robot.arm()
-        poses_rad = self._poses(cell, session.seed)
+        cell, poses_rad = session.cell, self._poses(session.cell, session.seed)
+        arm, smr_mm = cell.robot.arm(), np.array(cell.robot.smr_mm)
         # The slide came back through its backlash.
         again = session.found_place("pose 0", np.array(at_start.xyz_mm), SAMPLES, radius_mm=20.0)
-        seen, joints_rad = [again], [np.radians(again.joints_deg)]
-        fit: BaseFit | None = None
+        seen = [again]
+        fit: NominalBase | None = None
         for number, pose_rad in enumerate(poses_rad[1:], start=1):
             jogged(session, pose_rad, poses_rad[number - 1], f"pose {number}", BASE_PERCENT)
             near_mm, radius_mm = np.array(again.xyz_mm), SEARCH_MM
             if fit is not None:
-                near_mm, radius_mm = fit.predict_mm(arm, pose_rad)[0], SEARCH_MM / 2
-            found = session.found_place(f"pose {number}", near_mm, SAMPLES, radius_mm=radius_mm)
-            seen.append(found)
-            joints_rad.append(np.radians(found.joints_deg))
-            if number == len(cell.robot.joint) and not self._judge_senses(
-                session, np.array(joints_rad), places_mm(seen)
-            ):
+                near_mm, radius_mm = fit.predict_mm(pose_rad), SEARCH_MM / 2
+            seen.append(
+                session.found_place(f"pose {number}", near_mm, SAMPLES, radius_mm=radius_mm)
+            )
+            if number == len(cell.robot.joint) and not self._judge_senses(session, *poses_of(seen)):
                 return None
             if number >= len(cell.robot.joint):
-                fit = self._fitted(cell, joints_rad, seen, 20.0)
-                if fit.rms_mm > FIT_MM and not self._judge_axes(session, fit):
+                fit = nominal_base(arm, *poses_of(seen), NOISE_MM, smr_mm, U_NEAR_MM)
+                if not fit.rms_mm <= FIT_MM and not self._judge_axes(session, fit):
                     return None
         session.parked()
-        fit = self._fitted(cell, joints_rad, seen, 1e3)
-        return fit if self._judge_axes(session, fit) else None
-
-    @staticmethod
-    def _fitted(
-        cell: Cell, joints_rad: Sequence[Array], seen: Sequence[PlaceSeen], u_smr_mm: float
-    ) -> BaseFit:
-        return fit_base(
-            cell.robot.arm(),
-            np.array(joints_rad),
-            places_mm(seen),
-            np.array(cell.robot.smr_mm),
-            u_smr_mm,
-        )
+        if not self._judge_axes(
+            session, nominal_base(arm, *poses_of(seen), NOISE_MM, smr_mm, U_ANY_MM)
+        ):
+            return None
+        return fit_base(arm, *poses_of(seen), NOISE_MM, smr_mm, U_ANY_MM)
 
     @staticmethod
     def _judge_senses(session: CellSession, joints_rad: Array, seen_mm: Array) -> bool:
@@ -355,7 +347,7 @@ class FindBase(_Proving):
         )
 
     @staticmethod
-    def _judge_axes(session: CellSession, fit: BaseFit) -> bool:
+    def _judge_axes(session: CellSession, fit: NominalBase) -> bool:
         return prove(
             session,
             "axes",
@@ -365,36 +357,41 @@ class FindBase(_Proving):
         )
 
     @staticmethod
-    def _judge_base(session: CellSession, fit: BaseFit, along: Array, strip_mm: float) -> None:
-        cell, T_W_L = session.cell, session.cell.tracker.pose.matrix()
-        stated_mm = np.array(cell.robot.smr_mm)
-        off_mm = float(np.linalg.norm(fit.smr_mm - stated_mm))
-        smr = ", ".join(f"{value:.1f}" for value in fit.smr_mm)
-        limit_mm = TOOL_MM + 2.0 * fit.smr_u_mm
+    def _judge_base(
+        session: CellSession, fit: BaseFit, line: RailLine | None, strip_mm: float
+    ) -> None:
+        cell = session.cell
+        off_mm = float(np.linalg.norm(fit.smr_mm - cell.robot.smr_mm))
+        smr = ", ".join(f"{rounded(value, fit.smr_U_mm):g}" for value in fit.smr_mm.tolist())
+        limit_mm = TOOL_MM + fit.smr_U_mm
         if not prove(
             session,
             "reflector on the flange",
             holds=off_mm <= limit_mm,
-            found=f"at {smr} mm in the flange by the tracker, u {fit.smr_u_mm:.2f} mm; "
+            found=f"at {smr} mm in the flange by the tracker, U {fit.smr_U_mm:.2g} mm (k = 2); "
             f"{off_mm:.2f} mm from the controller's tool",
             expected=f"<= {limit_mm:.1f} mm; otherwise enter the measured place as the tool on the "
             "controller, and repeat from step controller",
         ):
             return
-        T_W_B = T_W_L @ fit.T_L_B
+        along, turned = np.array(cell.layout.rail_direction), ""
+        direction: dict[str, object] = {}
+        if line is not None:
+            along = line.direction
+            turned = f", whose direction has U {1e3 * line.U_rad:.2g} mrad (k = 2)"
+            direction = {"layout.rail_direction": [round(float(each), 7) for each in along]}
+        T_W_B = cell.tracker.pose.matrix() @ fit.T_L_B
         T_W_B[:3, 3] -= strip_mm * along
-        u_fit_mm = float(np.sqrt(np.linalg.eigvalsh(fit.covariance[:3, :3])[-1]))
-        u_mm = float(np.hypot(u_fit_mm, ARM_U_MM))
-        pose = pose_values(T_W_B)
+        pose = pose_values(T_W_B, fit.base_U_mm, fit.base_U_deg)
         prove(
             session,
             "base",
-            holds=u_mm <= cell.layout.base_tolerance_mm,
+            holds=fit.base_U_mm <= cell.layout.base_tolerance_mm,
             found=f"x {pose['x_mm']:.1f}, y {pose['y_mm']:.1f}, z {pose['z_mm']:.1f} mm in {{W}} "
-            f"at 0 mm of the rail, u {u_mm:.2f} mm",
-            expected=f"u <= {cell.layout.base_tolerance_mm:g} mm",
-            values={"layout.base": pose}
-            | ({"layout.rail_direction": along.tolist()} if cell.has_rail else {}),
+            f"at 0 mm of the rail{turned}; from the tracker U {fit.base_U_mm:.2g} mm, "
+            f"{fit.base_U_deg:.2g} deg (k = 2)",
+            expected=f"U <= {cell.layout.base_tolerance_mm:g} mm",
+            values={"layout.base": pose} | direction,
         )
 
     @staticmethod
@@ -411,7 +408,8 @@ class FindBase(_Proving):
                 rows.append(row)
         rng = np.random.default_rng([seed, 35])
         rows += list(safe_deg + rng.uniform(-MORE_DEG, MORE_DEG, (MORE_POSES, 6)))
-        return np.radians(np.clip(np.array(rows), low, high))
+        joints_rad: Array = np.radians(np.clip(np.array(rows), low, high))
+        return joints_rad
 
 
 def not_near(others_mm: Array) -> Callable[[Array], str]:

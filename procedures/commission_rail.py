@@ -10,7 +10,16 @@ from typing import NamedTuple
 
 from hilcell.cell.devices import jogging_rail
 from hilcell.cell.file import Cell
-from hilcell.identification.rail_motion import GROSS, JogFigures, jog_figures, stop_figures
+from hilcell.geometry.statistics import rounded
+from hilcell.identification.rail_motion import (
+    GROSS,
+    SLOW_MM,
+    JogFigures,
+    RailFigures,
+    jog_figures,
+    rail_figures,
+    stop_figures,
+)
 from hilcell.journal.log import Log
 from hilcell.model.events import SlideJogged
 from hilcell.model.plan import PlannedStep, Span
@@ -47,16 +56,21 @@ BACK = Jog("20 mm on", 20.0, 5.0)  # the other way than the jog before it
 RETURN, RETURN_MM = "return", 1.0  # a slide that is nearer stays
 STOP_AFTER_MM = 100.0
 SCALE_SHARE = 2e-3  # that drive and strip may differ in scale
-LANDING_MM = 0.06  # by which drive and strip end a jog apart
 UNIT_SHARE = 0.15  # within which a short jog's scale is a simple factor
 NOTHING = 0.02  # a scale below is no motion
-LEAST_FOR_SPEED_MM = 5.0  # a shorter jog is over within a few polls
 
 
-def _rescaled(session: CellSession, scale: float) -> dict[str, object]:
-    """Return the values of the cell file with another scale of the drive; its speeds follow."""
+def _rescaled(session: CellSession, scale: float, U_scale: float = 0.0) -> dict[str, object]:
+    """Return the values of the cell file with another scale of the drive; its speeds follow.
+
+    They have the digits that the scale's uncertainty supports.
+    """
     rail = jogging_rail(session.devices.rail)
-    return _options(session, rail.rescaled(scale, 1.0, abs(scale)))
+    values = _options(session, rail.rescaled(scale, 1.0, abs(scale)))
+    return {
+        path: rounded(value, U_scale * abs(value)) if isinstance(value, float) else value
+        for path, value in values.items()
+    }
 
 
 def _options(session: CellSession, options: dict[str, object]) -> dict[str, object]:
@@ -93,15 +107,14 @@ class RailJogs(Step):
         room_mm = cell.travel_max_mm - cell.travel_min_mm
         towards = 1 if rail.strip_mm < (cell.travel_min_mm + cell.travel_max_mm) / 2 else -1
         first, *jogs = [jog for jog in JOGS if jog.distance_mm <= room_mm / 3]
-        self._jog(session, first, towards)
+        there = [self._jog(session, first, towards)]
         for jog in jogs:
-            figures = jog_figures(self._jog(session, jog, towards))
-            if not self._not_gross(session, jog, figures):
+            there.append(self._jog(session, jog, towards))
+            if not self._not_gross(session, jog, jog_figures(there[-1])):
                 self._return(session)
                 return
-        self._judge_scale(session, jogs[-1], figures)
         jogged = self._jog(session, STOP, towards, stop_after_mm=min(STOP_AFTER_MM, room_mm / 8))
-        self._judge_backlash(session, self._jog(session, BACK, towards))
+        self._judge(session, rail_figures(there, self._jog(session, BACK, towards)))
         self._return(session)
         stop = stop_figures(jogged)
         limit_mm = stop.expected_mm(cell.acceleration_mm_s2)
@@ -143,7 +156,7 @@ class RailJogs(Step):
         A drive that counts far too much has not left the backlash after the shortest jog.
         """
         hardly = abs(figures.scale) <= NOTHING and figures.stopped_by == ""
-        if hardly and jog.distance_mm < LEAST_FOR_SPEED_MM:
+        if hardly and jog.distance_mm < SLOW_MM:
             return True
         scale_ok = prove(
             session,
@@ -156,7 +169,7 @@ class RailJogs(Step):
             if figures.is_gross and abs(figures.scale) > NOTHING
             else {},
         )
-        if not scale_ok or jog.distance_mm < LEAST_FOR_SPEED_MM:
+        if not scale_ok or jog.distance_mm < SLOW_MM:
             return scale_ok
         share = figures.speed_share
         holds = 1.0 / GROSS <= share <= GROSS
@@ -173,29 +186,33 @@ class RailJogs(Step):
         )
 
     @staticmethod
-    def _judge_scale(session: CellSession, jog: Jog, figures: JogFigures) -> None:
-        """Judge the scale by the longest jog."""
-        limit = SCALE_SHARE + LANDING_MM / jog.distance_mm
-        holds = abs(figures.scale - 1.0) <= limit
+    def _judge(session: CellSession, rail: RailFigures) -> None:
+        """Judge the rail by all its jogs, each limit with the uncertainty of its figure."""
+        limit = SCALE_SHARE + rail.U_scale
+        holds = abs(rail.scale - 1.0) <= limit
         prove(
             session,
             "scale",
             holds=holds,
-            found=f"drive {figures.driven_mm:+.3f} mm, strip {figures.moved_mm:+.3f} mm: "
-            f"{figures.words}",
-            expected=f"equal within {100 * limit:.2f} %",
-            values={} if holds else _rescaled(session, figures.scale),
+            found=f"{rail.scale:.5f} mm by the strip a mm of the drive, U {rail.U_scale:.1g} "
+            "(k = 2)",
+            expected=f"1 within {limit:.2g}",
+            values={} if holds else _rescaled(session, rail.scale, rail.U_scale),
         )
-
-    @staticmethod
-    def _judge_backlash(session: CellSession, back: SlideJogged) -> None:
-        lost_mm = abs(back.driven_mm) - abs(back.moved_mm)
+        prove(
+            session,
+            "speed unit",
+            holds=1.0 / GROSS <= rail.speed_share <= GROSS,
+            found=f"{rail.speed_share:.3f} mm by positions a mm by the speeds that the drive "
+            f"states, U {rail.U_speed_share:.1g} (k = 2)",
+            expected=f"equal within a factor of {GROSS:g}",
+        )
         limit_mm = session.cell.rail.max_backlash_mm
         prove(
             session,
             "backlash",
-            holds=abs(lost_mm) <= limit_mm,
-            found=f"{lost_mm:.3f} mm lost at a reversal",
+            holds=abs(rail.lost_mm) <= limit_mm,
+            found=f"{rail.lost_mm:.3f} mm lost at a reversal, U {rail.U_lost_mm:.2g} mm (k = 2)",
             expected=f"<= {limit_mm:g} mm",
         )
 

@@ -13,10 +13,8 @@ import numpy as np
 
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply, inverse, rigid_fit, unit
+from hilcell.identification.reflector_radius import SHIFTS_MM, reflectors_of
 from hilcell.ports import Array
-
-RADII_MM = {"1.5 in": 19.05, "0.875 in": 11.1125, "0.5 in": 6.35}  # of usual reflectors
-RADIUS_MM = 1.0  # by which a shift along the beams may miss a difference of radii
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +67,7 @@ def other_reflector(cell: Cell, measured_mm: Array, limit_mm: float) -> str:
     ``measured_mm`` (N, 3), tracker's frame, are of the reflector that the cell file names.
     """
     nominal_mm = np.array([nest.xyz_mm for nest in cell.layout.floor])
-    if not float(np.abs(_changes_mm(nominal_mm, measured_mm)).max()) <= 2.0 * RADII_MM["1.5 in"]:
+    if not float(np.abs(_changes_mm(nominal_mm, measured_mm)).max()) <= 2.0 * max(SHIFTS_MM):
         return ""  # no difference of radii changes a distance by more
     shift_mm, along = 0.0, unit(measured_mm)
     for _ in range(5):  # Gauss-Newton of one unknown: it converges in two
@@ -81,17 +79,11 @@ def other_reflector(cell: Cell, measured_mm: Array, limit_mm: float) -> str:
     at_mm = measured_mm + shift_mm * along
     if not bool(np.all(np.abs(_changes_mm(nominal_mm, at_mm)) <= limit_mm)):
         return ""
-    pairs_of = ((one, other) for one in RADII_MM for other in RADII_MM if one != other)
-    fits = [
-        f"{one} where the tracker is set to {other}"
-        for one, other in pairs_of
-        if abs(RADII_MM[other] - RADII_MM[one] - shift_mm) <= RADIUS_MM
-    ]
-    if not fits:
+    if not (fits := reflectors_of(shift_mm)):
         return ""
     return (
         f"all distances hold if every reading is {shift_mm:+.2f} mm along its beam: reflectors of "
-        f"{' or '.join(fits)}; seat {cell.tracker.reflector!r}, or correct tracker.reflector"
+        f"{fits}; seat {cell.tracker.reflector!r}, or correct tracker.reflector"
     )
 
 

@@ -105,6 +105,19 @@ def coverage_factor(sigmas: float, freedom: float) -> float:
     return -float(stdtrit(freedom, float(ndtr(-sigmas))))
 
 
+def expanded(covariance: Array, freedom: float = math.inf) -> float:
+    """Return U (k = 2) of one coordinate in the worst direction of a covariance (N, N); of an
+    estimated one by Student's t (GUM G.3).
+    """
+    return coverage_factor(2.0, freedom) * float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+
+
+def rounded(value: float, U: float) -> float:
+    """Return a value with the digits that its uncertainty supports: two of U's; U 0: all."""
+    digits = 1 - math.floor(math.log10(U)) if U > 0.0 else None
+    return (value if digits is None else round(value, digits)) + 0.0  # no -0.0
+
+
 def chance_of_at_most(count: int, of: int, share: float) -> float:
     """Return the probability of ``count`` or fewer of so many, each with probability ``share``."""
     from scipy.special import bdtr

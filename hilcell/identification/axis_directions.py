@@ -9,15 +9,14 @@ positions. All angles count from the model's zeros: a joint that counts backward
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations, product
 
 import numpy as np
 
-from hilcell.geometry.kinematics import Arm, Array, forward
-from hilcell.identification.mounted_reflector import placements
+from hilcell.geometry.kinematics import Arm, Array
+from hilcell.identification.mounted_reflector import flanges_of, placements, sigma_of
 
-MODEL_SHARE = 0.004  # of a displacement: zeros and lengths of a real arm change it
 MARGIN = 25.0  # of chi^2 between two hypotheses, 5 sigma: below neither is excluded
 FITS = 5.0  # of chi^2 a degree of freedom: above a hypothesis does not explain the positions
 SMR_MM = 300.0  # standard uncertainty of a reflector on a flange that nobody measured
@@ -99,15 +98,14 @@ def check_axes(
     still = [str(n + 1) for n in JOINTS if not turns_rad[n] > 1e-4]
     if still:
         raise ValueError(f"joint {', '.join(still)}: expected a motion, got none")
-    moved_mm = np.linalg.norm(seen_mm - seen_mm[0], axis=1)
-    sigma_mm = np.hypot(noise_mm, MODEL_SHARE * moved_mm)
+    sigma_mm = sigma_of(seen_mm, noise_mm)
     freedom = 3 * len(seen_mm) - 9
     assumed = np.asarray(smr_mm, dtype=float)
     tried: list[Hypothesis] = []
     chi2, smr, squares = np.empty(0), np.empty((0, 3)), np.empty(0)
     for group in (list(_signed()), list(_odd())):
         angles = np.array([each.angles(joints_rad) for each in group])
-        flanges = forward(replace(arm.by_angles, tool=np.eye(4)), angles)
+        flanges = flanges_of(arm.by_angles, angles)
         found = placements(flanges, seen_mm, sigma_mm, assumed, u_smr_mm)
         tried += group
         chi2, smr = np.append(chi2, found.chi2), np.vstack([smr, found.smr_mm])

@@ -3,16 +3,26 @@
 For a given reflector on the flange the base is a rigid fit in closed form, so only the reflector's
 three coordinates are searched: Gauss-Newton with damping from several starts, for many arms at
 once (variable projection; Golub, Pereyra 1973).
+
+From there a base is fitted together with the errors of a robot as built. Poses near one another
+exchange zeros and lengths for a shift of the base; priors of these errors decide between them, and
+what they leave open is the base's uncertainty.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hilcell.geometry.frames import apply_each, cross_matrix, matrix
-from hilcell.geometry.kinematics import Array
+from hilcell.geometry.kinematics import Arm, Array, forward
+from hilcell.geometry.statistics import expanded, lengths_mm, rms
+from hilcell.identification.estimate import solve
+from hilcell.identification.kinematics import BASE, Kinematics, Placed
+from hilcell.identification.measured_poses import Noise, Readings
+
+MODEL_SHARE = 0.004  # of a displacement: zeros and lengths of a real arm change it
 
 START_MM = 250.0  # from the assumed place, along each axis of the flange: the reach of a bracket
 STARTS = START_MM * np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
@@ -125,3 +135,80 @@ class _Search:
         damped = here.information + (damping[:, None] * scale)[:, None] * np.eye(9)
         step: Array = np.linalg.solve(damped, pull[..., None])[:, 6:, 0]
         return step
+
+
+@dataclass(frozen=True, eq=False)
+class NominalBase:
+    """Where nominal kinematics meet the positions best: ``T_L_B`` (4, 4), ``smr_mm`` (3,) on the
+    flange, and by how much they miss them, ``rms_mm`` (3D).
+    """
+
+    arm: Arm
+    T_L_B: Array
+    smr_mm: Array
+    rms_mm: float
+
+    def predict_mm(self, joints_rad: Array) -> Array:
+        """Return where the tracker sees the reflector (3,) at joints (6,)."""
+        seen: Array = (self.T_L_B @ flanges_of(self.arm, joints_rad) @ [*self.smr_mm, 1.0])[:3]
+        return seen
+
+
+@dataclass(frozen=True, eq=False)
+class BaseFit:
+    """``T_L_B`` (4, 4) and ``smr_mm`` (3,) on the flange, of a robot with the errors of one as
+    built; U (k = 2) are of one coordinate in the worst direction.
+    """
+
+    T_L_B: Array
+    smr_mm: Array
+    base_U_mm: float
+    base_U_deg: float
+    smr_U_mm: float
+
+
+def nominal_base(
+    arm: Arm, joints_rad: Array, seen_mm: Array, noise_mm: float, smr_mm: Array, u_smr_mm: float
+) -> NominalBase:
+    """Fit base and reflector to three poses or more: joints (N, 6), the reflector (N, 3) in {L}.
+
+    ``noise_mm``: 1 sigma of a coordinate seen. The reflector is assumed at ``smr_mm`` (3,), with
+    the standard uncertainty ``u_smr_mm`` of each coordinate: it decides what few poses cannot.
+    """
+    flanges, sigma_mm = flanges_of(arm, joints_rad)[None], sigma_of(seen_mm, noise_mm)
+    found = placements(flanges, seen_mm, sigma_mm, smr_mm, u_smr_mm)
+    rms_mm = rms(lengths_mm(found.residuals_mm[0]))
+    return NominalBase(arm, found.T_L_B[0], found.smr_mm[0], rms_mm)
+
+
+def fit_base(
+    arm: Arm, joints_rad: Array, seen_mm: Array, noise_mm: float, smr_mm: Array, u_smr_mm: float
+) -> BaseFit:
+    """Fit base, reflector and the errors of the arm as `nominal_base`, from where that is.
+
+    Raises `IdentificationError` for an arm that is not the nominal one.
+    """
+    nominal = nominal_base(arm, joints_rad, seen_mm, noise_mm, smr_mm, u_smr_mm)
+    robot = Kinematics(arm, assumed=Placed(reflector_mm=u_smr_mm))
+    start = robot.start(nominal.T_L_B, nominal.smr_mm[None])
+    start.moved[BASE:] = nominal.smr_mm - smr_mm
+    readings = Readings(joints_rad, seen_mm[:, None], np.zeros((len(seen_mm), 1, 3, 3)))
+    state, system = solve(robot, readings, start, Noise.independent(noise_mm))
+    shift, turn, reflector = (
+        expanded(system.covariance[at, at])
+        for at in (slice(3), slice(3, BASE), slice(BASE, robot.placed))
+    )
+    return BaseFit(state.T, state.smr_mm[0], shift, float(np.degrees(turn)), reflector)
+
+
+def flanges_of(arm: Arm, joints_rad: Array) -> Array:
+    """Return the flange (..., 4, 4) in {B} at joints (..., 6)."""
+    return forward(replace(arm, tool=np.eye(4)), joints_rad)
+
+
+def sigma_of(seen_mm: Array, noise_mm: float) -> Array:
+    """Return 1 sigma (N,) of a coordinate of positions (N, 3) against a nominal arm's, which are
+    right where it begins.
+    """
+    moved_mm = np.linalg.norm(seen_mm - seen_mm[0], axis=1)
+    return np.asarray(np.hypot(noise_mm, MODEL_SHARE * moved_mm))

@@ -1,17 +1,20 @@
-"""Places that nobody has measured: nests by their distances, the base by poses of the arm.
+"""Places that nobody has measured: nests by their distances, the rail by a place that rides on it.
 
-{L} tracker, {W} world, {B} robot base; mm, rad.
+A reflector of another radius shifts every reading along its beam by the difference: it is known by
+nests whose distances agree only with such a shift. {L} tracker, {W} world; mm, rad.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from hilcell.geometry.frames import apply, cross_matrix, from_rotvec, matrix, rigid_fit
-from hilcell.geometry.kinematics import Arm, Array, forward
+from hilcell.geometry.frames import apply, cross_matrix, from_rotvec, matrix, rigid_fit, unit
+from hilcell.geometry.kinematics import Array
+from hilcell.geometry.statistics import coverage_factor, expanded
+from hilcell.identification.reflector_radius import RADIUS_MM, SHIFTS_MM
 
 UPRIGHT = 0.0  # least cosine between the tracker's z and that of {W}
 
@@ -20,11 +23,18 @@ UPRIGHT = 0.0  # least cosine between the tracker's z and that of {W}
 class Recognition:
     """Which nominal nest each seen one is (M,), -1 for none; ``T_W_L`` (4, 4); distances (M,) from
     the nominal places, NaN for none.
+
+    ``U_mm`` and ``U_rad`` (k = 2) of the tracker's place and rotation, one coordinate in the worst
+    direction. ``shift_mm``: of every reading along its beam, as of a reflector of another radius;
+    0, or else more than its uncertainty.
     """
 
     nests: tuple[int, ...]
     T_W_L: Array
     off_mm: Array
+    U_mm: float
+    U_rad: float
+    shift_mm: float
 
     @property
     def upright(self) -> bool:
@@ -45,29 +55,89 @@ def recognised(nominal_mm: Array, seen_mm: Array, tolerance_mm: float) -> list[R
     sides exchanges two nests where the tracker is upside down.
     """
     M = len(seen_mm)
-    found = list(_matches(nominal_mm, seen_mm, tuple(range(M)), tolerance_mm))
-    if not found and M > 3:
-        for left_out in range(M):
-            rest = tuple(n for n in range(M) if n != left_out)
-            found += _matches(nominal_mm, seen_mm, rest, tolerance_mm)
+    found: list[Recognition] = []
+    for left_out in (-1, *range(M if M > 3 else 0)):
+        kept = tuple(n for n in range(M) if n != left_out)
+        for shift_mm in SHIFTS_MM:
+            found += _matches(nominal_mm, seen_mm, kept, tolerance_mm, shift_mm)
+        if found and left_out < 0:
+            break
     return sorted(found, key=lambda each: each.worst_mm)
 
 
+def may_be_nests(nominal_mm: Array, seen_mm: Array, tolerance_mm: float) -> bool:
+    """Whether two seen nests (M, 3) or more may all be nominal ones, of any usual reflector."""
+    distances, limit_mm = _distances(nominal_mm), 2.0 * tolerance_mm
+    for shift_mm in SHIFTS_MM:
+        at_mm = seen_mm + shift_mm * unit(seen_mm)
+        for nests in _assignments(distances, _distances(at_mm), (), limit_mm):
+            if len(at_mm) < 3 or _off_mm(nominal_mm[list(nests)], at_mm).max() <= tolerance_mm:
+                return True
+    return False
+
+
 def _matches(
-    nominal_mm: Array, seen_mm: Array, kept: tuple[int, ...], tolerance_mm: float
+    nominal_mm: Array, seen_mm: Array, kept: tuple[int, ...], tolerance_mm: float, shift_mm: float
 ) -> Iterator[Recognition]:
-    distances = np.linalg.norm(nominal_mm[:, None] - nominal_mm, axis=-1)
-    apart = np.linalg.norm(seen_mm[:, None] - seen_mm, axis=-1)
-    for nests in _assignments(distances, apart[np.ix_(kept, kept)], (), 2.0 * tolerance_mm):
-        T = rigid_fit(seen_mm[list(kept)], nominal_mm[list(nests)]).T
-        off_mm = np.full(len(seen_mm), np.nan)
-        off_mm[list(kept)] = np.linalg.norm(
-            apply(T, seen_mm[list(kept)]) - nominal_mm[list(nests)], axis=1
+    at_mm = seen_mm[list(kept)]
+    apart = _distances(at_mm + shift_mm * unit(at_mm))
+    for nests in _assignments(_distances(nominal_mm), apart, (), 2.0 * tolerance_mm):
+        fit = _fit(nominal_mm[list(nests)], at_mm, shift_mm)
+        if fit is None or not fit.off_mm.max() <= tolerance_mm:
+            continue
+        names, off_mm = np.full(len(seen_mm), -1), np.full(len(seen_mm), np.nan)
+        names[list(kept)], off_mm[list(kept)] = nests, fit.off_mm
+        yield Recognition(
+            tuple(int(n) for n in names), fit.T_W_L, off_mm, fit.U_mm, fit.U_rad, fit.shift_mm
         )
-        if np.nanmax(off_mm) <= tolerance_mm:
-            names = np.full(len(seen_mm), -1)
-            names[list(kept)] = nests
-            yield Recognition(tuple(int(n) for n in names), T, off_mm)
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    T_W_L: Array
+    off_mm: Array
+    U_mm: float
+    U_rad: float
+    shift_mm: float
+
+
+def _off_mm(nominal_mm: Array, at_mm: Array) -> Array:
+    T = rigid_fit(at_mm, nominal_mm).T
+    return np.asarray(np.linalg.norm(apply(T, at_mm) - nominal_mm, axis=1))
+
+
+def _fit(nominal_mm: Array, seen_mm: Array, shift_mm: float) -> _Fit | None:
+    """Fit the tracker's pose, and near a ``shift_mm`` that is not 0 the shift of all readings.
+
+    None where the readings do not prove such a shift.
+    """
+    along, unknowns = unit(seen_mm), 7 if shift_mm else 6
+    freedom, near_mm = 3 * len(seen_mm) - unknowns, shift_mm
+    T = rigid_fit(seen_mm + shift_mm * along, nominal_mm).T
+    for _ in range(5):  # Gauss-Newton, from closely by
+        turned = apply(T, seen_mm + shift_mm * along)
+        left_mm = (nominal_mm - turned).reshape(-1)
+        J = np.zeros((len(seen_mm), 3, 7))
+        J[:, :, :3] = np.eye(3)
+        J[:, :, 3:6] = -cross_matrix(turned - T[:3, 3])
+        J[:, :, 6] = along @ T[:3, :3].T
+        A = J.reshape(-1, 7)[:, :unknowns]
+        step = np.linalg.lstsq(A, left_mm, rcond=None)[0]
+        T = matrix(from_rotvec(step[3:6]) @ T[:3, :3], T[:3, 3] + step[:3])
+        shift_mm += float(step[6:].sum())
+    off_mm = np.linalg.norm(nominal_mm - apply(T, seen_mm + shift_mm * along), axis=1)
+    normal = A.T @ A + 1e-12 * np.eye(unknowns)  # what is not determined becomes very uncertain
+    covariance = np.linalg.inv(normal) * float(np.sum(off_mm**2)) / freedom
+    if near_mm:
+        U_shift_mm = expanded(covariance[6:, 6:], freedom)
+        if not U_shift_mm < abs(shift_mm) or not abs(shift_mm - near_mm) <= RADIUS_MM:
+            return None
+    U_mm, U_rad = (expanded(covariance[at, at], freedom) for at in (slice(3), slice(3, 6)))
+    return _Fit(T, off_mm, U_mm, U_rad, shift_mm)
+
+
+def _distances(at_mm: Array) -> Array:
+    return np.asarray(np.linalg.norm(at_mm[:, None] - at_mm, axis=-1))
 
 
 def _assignments(
@@ -87,80 +157,30 @@ def _assignments(
 
 
 @dataclass(frozen=True, slots=True)
-class BaseFit:
-    """``T_L_B`` (4, 4) and the reflector ``smr_mm`` (3,) in the flange; ``covariance`` (9, 9) of
-    shift and rotation of {B} in {L}, and of the reflector; residuals (N, 3), mm.
+class RailLine:
+    """The line along which a place rode: unit ``direction`` (3,), and ``scale``, its distance a mm
+    of the slide's positions; U (k = 2) of both.
     """
 
-    T_L_B: Array
-    smr_mm: Array
-    covariance: Array
-    residuals_mm: Array
-
-    @property
-    def rms_mm(self) -> float:
-        return float(np.sqrt(np.mean(np.sum(self.residuals_mm**2, axis=1))))
-
-    @property
-    def smr_u_mm(self) -> float:
-        """1 sigma of the reflector's place, in its worst direction."""
-        return float(np.sqrt(np.linalg.eigvalsh(self.covariance[6:, 6:])[-1]))
-
-    def predict_mm(self, arm: Arm, joints_rad: Array) -> Array:
-        """Return where the tracker sees the reflector (N, 3) at joints (N, 6)."""
-        flange = _flange(arm, joints_rad)
-        return apply(self.T_L_B, flange[:, :3, :3] @ self.smr_mm + flange[:, :3, 3])
+    direction: Array
+    scale: float
+    U_rad: float
+    U_scale: float
 
 
-def fit_base(
-    arm: Arm, joints_rad: Array, seen_mm: Array, smr_mm: Array, u_smr_mm: float = 1e3
-) -> BaseFit:
-    """Fit {B} and the reflector's place to a reflector seen (N, 3), {L}, at joints (N, 6).
+def rail_line(positions_mm: Sequence[float], places_mm: Array, swing_mm: float) -> RailLine:
+    """Fit a line to places (N, 3) at positions of the slide.
 
-    ``smr_mm`` (3,) is where the reflector is supposed to be, ``u_smr_mm`` (1 sigma) how well that
-    is known: it decides what few poses cannot. Gauss-Newton from the rigid fit of these places.
+    ``swing_mm``: 1 sigma by which the slide's tilt carries a place off its line, from one end to
+    the other; the residuals do not show it.
     """
-    flange = _flange(arm, joints_rad)
-    R_F, t_F = flange[:, :3, :3], flange[:, :3, 3]
-    U = smr_mm.astype(float)
-    T = rigid_fit(R_F @ U + t_F, seen_mm).T
-    sigma = 1.0
-    for _ in range(50):
-        in_base = R_F @ U + t_F
-        residuals = seen_mm - apply(T, in_base)
-        freedom = max(3 * len(seen_mm) - 9, 1)
-        sigma = max(float(np.sqrt(np.sum(residuals**2) / freedom)), 0.02)
-        J = np.zeros((len(seen_mm), 3, 9))
-        J[:, :, :3] = np.eye(3)
-        J[:, :, 3:6] = -cross_matrix(apply(T, in_base) - T[:3, 3])
-        J[:, :, 6:] = T[:3, :3] @ R_F
-        A = J.reshape(-1, 9)
-        prior = np.zeros((9, 9))
-        prior[6:, 6:] = np.eye(3) * (sigma / u_smr_mm) ** 2
-        normal = A.T @ A + prior
-        pull = A.T @ residuals.reshape(-1) + prior @ np.r_[np.zeros(6), smr_mm - U]
-        step = np.linalg.solve(normal + 1e-9 * np.eye(9), pull)
-        T = matrix(from_rotvec(step[3:6]) @ T[:3, :3], T[:3, 3] + step[:3])
-        U = U + step[6:]
-        if np.linalg.norm(step[[0, 1, 2, 6, 7, 8]]) < 1e-7:
-            break
-    covariance = np.asarray(sigma**2 * np.linalg.inv(normal + 1e-9 * np.eye(9)), dtype=float)
-    return BaseFit(T, U, covariance, seen_mm - apply(T, R_F @ U + t_F))
-
-
-def _flange(arm: Arm, joints_rad: Array) -> Array:
-    """Return the flange in {B} (N, 4, 4) at joints (N, 6)."""
-    return forward(replace(arm, tool=np.eye(4)), np.atleast_2d(joints_rad))
-
-
-def rail_direction(positions_mm: Sequence[float], places_mm: Array) -> Array:
-    """Return the unit vector (3,) along which a nest moved: places (N, 3) at slide positions."""
     s = np.asarray(positions_mm) - np.mean(positions_mm)
-    slope = s @ (places_mm - places_mm.mean(axis=0)) / (s @ s)
-    return np.asarray(slope / np.linalg.norm(slope))
-
-
-def rail_scale(positions_mm: Sequence[float], places_mm: Array) -> float:
-    """Return the distance by the tracker a mm of the slide's positions."""
-    s = np.asarray(positions_mm) - np.mean(positions_mm)
-    return float(np.linalg.norm(s @ (places_mm - places_mm.mean(axis=0)) / (s @ s)))
+    moved_mm = places_mm - places_mm.mean(axis=0)
+    slope = s @ moved_mm / (s @ s)
+    scale = float(np.linalg.norm(slope))
+    left_mm = moved_mm - np.outer(s, slope)
+    freedom = 3 * len(s) - 6
+    u_slope = np.sqrt(np.sum(left_mm**2) / freedom / (s @ s))
+    U_swing = 2.0 * swing_mm / np.ptp(s)
+    U_scale = float(np.hypot(coverage_factor(2.0, freedom) * u_slope, U_swing))
+    return RailLine(slope / scale, scale, U_scale / scale, U_scale)

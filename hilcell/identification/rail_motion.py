@@ -7,7 +7,10 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from hilcell.geometry.statistics import coverage_factor, slope, variance_of_mean
+
 SIMPLE_FACTORS = (0.001, 0.01, 0.1, 0.5, 1.0, 2.0, 10.0, 100.0, 1000.0)
+SLOW_MM = 2.0  # a shorter jog is over within a few polls, too few for a speed
 GROSS = 1.4  # a scale beyond this factor is wrong, whatever the readings' noise
 
 
@@ -75,6 +78,47 @@ def jog_figures(trace: Trace) -> JogFigures:
         float(trace.strip_mm[-1] - trace.strip_mm[0]),
         float(np.trapezoid(stated, t)),
         trace.stopped_by,
+    )
+
+
+class RailFigures(NamedTuple):
+    """Of a rail by several jogs: the strip's mm a mm of the drive, the distance that a reversal
+    loses, the mm by positions a mm by the stated speeds; each with its U (k = 2).
+    """
+
+    scale: float
+    U_scale: float
+    lost_mm: float
+    U_lost_mm: float
+    speed_share: float
+    U_speed_share: float
+
+
+def rail_figures(jogs: Sequence[Trace], back: Trace) -> RailFigures:
+    """Return the figures of three jogs or more in one direction, and of one after a reversal.
+
+    The drive has taken up the backlash where the first jog ends: from there the ends of all jogs
+    lie on a line, whose residuals are the scatter of drive and strip.
+    """
+    ends = np.array([[jog.drive_mm[-1], jog.strip_mm[-1]] for jog in jogs]).T
+    scale, u_scale = slope(*ends)
+    freedom = ends.shape[1] - 2
+    scatter_mm = u_scale * float(np.std(ends[0])) * np.sqrt(ends.shape[1])
+    factor = coverage_factor(2.0, freedom)
+    reversal = jog_figures(back)
+    lost_mm = scale * abs(reversal.driven_mm) - abs(reversal.moved_mm)
+    longer = [figures for jog in jogs if abs((figures := jog_figures(jog)).driven_mm) > SLOW_MM]
+    shares = [figures.speed_share for figures in longer]
+    U_share = np.inf  # of a single jog
+    if len(shares) > 1:
+        U_share = coverage_factor(2.0, len(shares) - 1) * np.sqrt(variance_of_mean(shares))
+    return RailFigures(
+        scale,
+        factor * u_scale,
+        lost_mm,
+        factor * np.sqrt(2.0) * scatter_mm,
+        float(np.mean(shares)),
+        float(U_share),
     )
 
 

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from hilcell.cell.file import load_cell
-from hilcell.geometry.frames import apply, from_zyx, inverse, matrix
-from hilcell.geometry.kinematics import Array, forward
-from hilcell.identification.places import fit_base, rail_direction, rail_scale, recognised
+from hilcell.geometry.frames import apply, from_zyx, inverse, matrix, unit
+from hilcell.geometry.kinematics import Array
+from hilcell.identification.places import may_be_nests, recognised
 from hilcell.identification.rail_motion import jog_figures, stop_figures
+from hilcell.identification.reflector_radius import reflectors_of
 
 CELL = load_cell("paper")
 NOMINAL_MM = np.array([nest.xyz_mm for nest in CELL.layout.fixed_nests])
@@ -41,7 +42,7 @@ def test_a_nest_that_moved_is_none_of_the_drawing() -> None:
 
 
 def test_two_equal_sides_leave_a_tracker_upside_down_open() -> None:
-    seen_mm = NOMINAL_MM[:3]
+    seen_mm = NOMINAL_MM[:3] + [4000.0, 0.0, -1500.0]
     found = recognised(NOMINAL_MM, seen_mm, 1.0)
     assert [(each.nests, each.upright) for each in found] == [
         ((0, 1, 2), True),
@@ -49,37 +50,30 @@ def test_two_equal_sides_leave_a_tracker_upside_down_open() -> None:
     ]
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_base_and_reflector_follow_from_poses(seed: int) -> None:
-    rng, arm = np.random.default_rng(seed), CELL.robot.arm()
-    joints_rad = np.radians(np.array(CELL.robot.home_deg) + rng.uniform(-15, 15, (24, 6)))
-    T_L_B = matrix(from_zyx(rng.uniform(-180, 180, 3)), rng.uniform(-3e3, 3e3, 3))
-    seen_mm = apply(T_L_B, forward(arm, joints_rad)[:, :3, 3]) + rng.normal(
-        scale=0.05, size=(24, 3)
-    )
-    supposed_mm = np.array(CELL.robot.smr_mm) + rng.uniform(-30, 30, 3)
-    fit = fit_base(arm, joints_rad, seen_mm, supposed_mm)
-    off_mm = np.r_[fit.T_L_B[:3, 3] - T_L_B[:3, 3], fit.smr_mm - CELL.robot.smr_mm]
-    u_mm = np.sqrt(np.diag(fit.covariance))[[0, 1, 2, 6, 7, 8]]
-    assert np.all(np.abs(off_mm) < 5 * u_mm)
-    assert fit.rms_mm < 0.15
-    assert np.linalg.norm(fit.predict_mm(arm, joints_rad) - seen_mm, axis=1).max() < 0.4
-
-
-def test_an_arm_that_turns_the_other_way_does_not_fit() -> None:
-    rng, arm = np.random.default_rng(1), CELL.robot.arm()
-    joints_rad = np.radians(np.array(CELL.robot.home_deg) + rng.uniform(-15, 15, (24, 6)))
-    turned = joints_rad * [1, 1, 1, 1, -1, 1]
-    seen_mm = forward(arm, turned)[:, :3, 3]
-    assert fit_base(arm, joints_rad, seen_mm, np.array(CELL.robot.smr_mm)).rms_mm > 3.0
-
-
-def test_the_rail_s_direction_and_scale_follow_from_places() -> None:
-    along = np.array([0.6, -0.8, 0.0])
-    positions_mm = [0.0, 20.0, 100.0, 300.0]
-    places_mm = np.outer(positions_mm, along * 1.01) + [5.0, 6.0, 7.0]
-    assert rail_direction(positions_mm, places_mm) == pytest.approx(along)
-    assert rail_scale(positions_mm, places_mm) == pytest.approx(1.01)
+@pytest.mark.parametrize("count", [4, 5])
+@pytest.mark.parametrize(
+    ("shift_mm", "words"),
+    [
+        (-12.7, "1.5 in where the tracker is set to 0.5 in"),
+        (7.94, "0.875 in where the tracker is set to 1.5 in"),
+        (0.0, ""),
+    ],
+)
+def test_reflectors_of_another_radius_are_known_by_their_distances(
+    count: int, shift_mm: float, words: str
+) -> None:
+    """A tracker set to a smaller radius reads too short, by the difference along each beam."""
+    rng = np.random.default_rng(count)
+    T_W_L, order, seen_mm = seen_of(rng, count)
+    seen_mm = seen_mm - shift_mm * unit(seen_mm)
+    best = recognised(NOMINAL_MM, seen_mm, 5.0)[0]
+    assert list(best.nests) == order
+    assert reflectors_of(best.shift_mm) == words
+    assert np.abs(best.T_W_L - T_W_L)[:3, 3].max() < best.U_mm + 0.5
+    for seen in range(2, count):
+        assert may_be_nests(NOMINAL_MM, seen_mm[:seen], 5.0)
+    seen_mm[-1] += [0.0, 200.0, 0.0]
+    assert not may_be_nests(NOMINAL_MM, seen_mm, 5.0)
 
 
 @dataclass
