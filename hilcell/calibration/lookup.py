@@ -27,8 +27,9 @@ from hilcell.cell.settings import SettingsError
 from hilcell.decoding import Json, typed
 from hilcell.journal.calibration_status import CalibrationStatus, current_of, statuses
 from hilcell.journal.index import RunRow, find_run, in_order, read_index, row_of
+from hilcell.journal.journal import StorageError
 from hilcell.journal.log import Log
-from hilcell.journal.runs import CALIBRATION, is_run, read_log
+from hilcell.journal.runs import CALIBRATION, JOURNAL, is_run, read_log
 from hilcell.model.calibration import Provenance
 from hilcell.model.events import CalibrationUsed
 from hilcell.model.verdicts import Rechecked
@@ -146,7 +147,7 @@ def with_calibration(
     named = chosen.calibration or str(_current(runs, cell, table, machine))
     used = CalibrationFile.named(named, runs)
     calibration, status = used.calibration, used.status
-    if reasons := list(_foreign(used, cell)):  # first: nothing accepts that of another cell
+    if reasons := list(_foreign(used, cell, table)):  # first: nothing accepts that of another cell
         raise CalibrationRefused(calibration, reasons)
     accepted = check_usable(
         calibration,
@@ -217,7 +218,7 @@ def _current(runs: Path, cell: Cell, table: str, machine: int | None) -> Path:
     for row in reversed(in_order(rows)):
         path = runs / row.name / CALIBRATION
         status = known.get(row.name, _unproven(row))
-        if (made := _made(path, row, status, cell)) is None or made.cell != cell.name:
+        if (made := _made(path, row, status, cell, table)) is None or made.cell != cell.name:
             continue
         if machine is not None and row.machine_seed not in (None, machine):
             gone = gone or f" (that of run {row.name} is of simulated machine {row.machine_seed})"
@@ -241,7 +242,9 @@ def _current(runs: Path, cell: Cell, table: str, machine: int | None) -> Path:
     )
 
 
-def _made(path: Path, row: RunRow, status: CalibrationStatus, cell: Cell) -> Provenance | None:
+def _made(
+    path: Path, row: RunRow, status: CalibrationStatus, cell: Cell, table: str
+) -> Provenance | None:
     """Provenance of a run's calibration; None where it has none that may be current. A damaged file
     raises only where it may be needed: by the run's journal, or of any cell without a journal.
     """
@@ -249,12 +252,22 @@ def _made(path: Path, row: RunRow, status: CalibrationStatus, cell: Cell) -> Pro
         return None
     try:
         return read_calibration(path).provenance
-    except SettingsError:
+    except SettingsError as error:
         of_cell = (row.cell, row.simulated) == (cell.name, cell.simulation is not None)
         needed = status.usable or status.state == "in doubt"
         if needed and (of_cell or not row.readable):
-            raise
+            raise SettingsError(
+                error.source, [*error.problems, _way_out(path.parent, table)]
+            ) from error
         return None
+
+
+def _way_out(folder: Path, table: str) -> str:
+    """Return what to do about a run whose cell or calibration cannot be read."""
+    return (
+        f"restore {folder} from the backup; move it out of {folder.parent} if it is of another "
+        f"cell; or name a calibration with --set {table}.calibration=RUN"
+    )
 
 
 def calibration_status(folder: Path) -> CalibrationStatus | None:
@@ -301,7 +314,7 @@ def _unproven(row: RunRow) -> CalibrationStatus:
     return CalibrationStatus("in doubt", "", f"its run {ended}")
 
 
-def _foreign(used: CalibrationFile, cell: Cell) -> Iterator[str]:
+def _foreign(used: CalibrationFile, cell: Cell, table: str) -> Iterator[str]:
     calibration, folder = used.calibration, used.path.parent
     made = calibration.provenance
     if made.simulated != (cell.simulation is not None):
@@ -319,7 +332,12 @@ def _foreign(used: CalibrationFile, cell: Cell) -> Iterator[str]:
             f"{cell.digest[:12]}; name the run that wrote it, or run with the cell file of then"
         )
         return
-    then = read_log(folder).cell
+    try:
+        then = read_log(folder).cell
+    except StorageError:
+        unknown = f"whether it is of this cell is unknown: {folder / JOURNAL} cannot be read"
+        yield f"{unknown}; {_way_out(folder, table)}"
+        return
     fixed = (
         "name", "serial", "robot.joint", "robot.smr_mm", "robot.more_smr_mm", "robot.status",
         "layout.base", "layout.floor", "station", "grid.station",

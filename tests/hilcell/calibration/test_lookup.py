@@ -231,8 +231,21 @@ def test_a_damaged_calibration_that_may_be_current_is_refused(tmp_path: Path, jo
     (tmp_path / "2-new" / CALIBRATION).write_bytes(b"{")
     if journal == "damaged":
         (tmp_path / "2-new" / JOURNAL).write_bytes(b"no database" * 1000)
-    with pytest.raises(SettingsError, match="2-new"):
+    with pytest.raises(SettingsError, match=r"2-new(.|\n)*move it out of .*recheck\.calibration"):
         with_calibration(using(), "recheck", tmp_path)
+
+
+def test_one_of_a_cell_that_cannot_be_read_is_named_with_the_way_out(tmp_path: Path) -> None:
+    """It has the name of this cell: another of the name, or this one with another file."""
+    made(tmp_path, "1-old")
+    made(tmp_path, "2-new", digest="d" * 64)
+    (tmp_path / "2-new" / JOURNAL).write_bytes(b"no database" * 1000)
+    way_out = r"2-new/journal\.sqlite cannot be read; .*move it out of .*recheck\.calibration"
+    with pytest.raises(CalibrationRefused, match=way_out):
+        with_calibration(using(), "recheck", tmp_path)
+    (tmp_path / "2-new").rename(tmp_path.parent / f"{tmp_path.name}-2-new")
+    found = with_calibration(using(), "recheck", tmp_path).cell
+    assert calibration_named(found, "recheck").provenance.run == "1-old"
 
 
 @pytest.mark.parametrize("cut", [None, 0, 5000])
