@@ -43,8 +43,8 @@ class Dialogue(ABC):
         """Tell which step begins."""
 
     @abstractmethod
-    def show(self, record: StepRecord, lines: Sequence[str]) -> None:
-        """Show what a step has proved; ``lines`` is that in short."""
+    def show(self, record: StepRecord, lines: Sequence[str], written: Sequence[str]) -> None:
+        """Show what a step has proved, ``lines`` in short, and what it has ``written``."""
 
     @abstractmethod
     def answered(self, question: Question) -> str:
@@ -110,8 +110,8 @@ class TypedDialogue(Dialogue):
     def begin(self, step: str, title: str, number: int, of: int) -> None:
         self.say(f"step {number} of {of}, {step}: {title}")
 
-    def show(self, record: StepRecord, lines: Sequence[str]) -> None:
-        for line in lines:
+    def show(self, record: StepRecord, lines: Sequence[str], written: Sequence[str]) -> None:
+        for line in (*lines, *written):
             self.say(f"  {line}")
 
     def answered(self, question: Question) -> str:

@@ -78,7 +78,7 @@ class Commissioning:
                 load_cell(str(self.path))
             Commissioned.read(self.path).add(record, self.path)
             written = [f"{self.path.name}: {path} = {shown(text.get(path))}" for path in changed]
-            self.dialogue.show(record, [*lines_of(record), *written])
+            self.dialogue.show(record, lines_of(record), written)
             if record.holds:
                 return True
             if not changed:

@@ -88,8 +88,9 @@ def folder_to_open(runs: Path, name: str) -> Path | None:
 
 
 def pages() -> dict[str, type[BaseScreen]]:
-    """Return the page of each action that has one; only help and history need no run."""
+    """Return the page of each action that has one; some need no run."""
     from hilcell.tui.screens import pages
+    from hilcell.tui.screens.commissioning import CommissionScreen
     from hilcell.tui.screens.help import HelpPage
 
     return {
@@ -100,7 +101,23 @@ def pages() -> dict[str, type[BaseScreen]]:
         "plots": pages.PlotPage,
         "help": HelpPage,
         "history": pages.HistoryPage,
+        "commission": CommissionScreen,
     }
+
+
+def wants_commissioning(cell: str) -> bool:
+    """Whether a cell file is new, or its commissioning has begun and lacks steps."""
+    from hilcell.cell.source import built_in_cells
+    from hilcell.commission.steps import check_proved
+
+    path = Path(cell)
+    if cell in built_in_cells() or path.suffix != ".toml":
+        return False
+    try:
+        check_proved(path)
+    except HilcellError:  # of a damaged record, too: the screen shows it
+        return True
+    return not path.exists()
 
 
 class Palette(CommandPalette):
@@ -200,6 +217,7 @@ class HilcellApp(Application):
         self._shown_s = -math.inf  # when the run was last shown
         self._was_late = False  # whether the driver has covered something since
         self._collector: GarbageCollector | None = None
+        self._halted = False  # whether the driver's thread has stopped a commissioning
         self.set_keymap({name: ",".join(keys) for name, keys in options.keymap.items()})
         for palette in (*PALETTES, SIXTEEN_COLOURS):
             self.register_theme(palette.theme())
@@ -210,8 +228,13 @@ class HilcellApp(Application):
 
     def get_driver_class(self) -> type[Driver]:
         """Give the terminal's driver the calls that must not wait for this thread."""
-        calls = {"on_escape": self.open_runs.stop, "is_late": self._is_late}
+        calls = {"on_escape": self._stop_at_once, "is_late": self._is_late}
         return type("Stopping", (StopDriver,), {name: staticmethod(calls[name]) for name in calls})
+
+    def _stop_at_once(self) -> bool:
+        """Stop everything; called by the driver's thread."""
+        self._halted |= self.commissioning is not None and self.commissioning.stop()
+        return self.open_runs.stop()
 
     def get_line_filters(self) -> Sequence[LineFilter]:
         """Return Textual's, but without colours that which leaves none."""
@@ -260,6 +283,7 @@ class HilcellApp(Application):
     async def _open(self) -> None:
         try:
             folder = await run_in_thread(folder_to_open, self.options.runs, self.options.run)
+            commissions = await run_in_thread(wants_commissioning, self.options.cell)
         except HilcellError as error:
             self.refused = error
             self.exit()
@@ -267,17 +291,34 @@ class HilcellApp(Application):
         self._collector = GarbageCollector(time.monotonic())
         if folder is not None:
             self.attach(folder)
+        elif commissions:
+            self.pop_screen()
+            self.do_commission()
         else:
             self.do_new()
 
     def attach(self, folder: Path, process: Popen[bytes] | None = None) -> None:
         from hilcell.tui.screens.run import PointFilter, RunScreen
 
-        before = self.session if self.session and self.session.folder == folder else None
+        again = self.session is not None and self.session.folder == folder
         point_filter = next(
             (each.point_filter for each in self.screen_stack if isinstance(each, RunScreen)),
             PointFilter(),
         )
+        self._follow(folder, process)
+        while len(self.screen_stack) > 1:
+            self.pop_screen()
+        self.push_screen(RunScreen(point_filter if again else PointFilter()))
+
+    def show_step(self, folder: Path, process: Popen[bytes]) -> None:
+        session = self._follow(folder, process)
+        if self.commissioning is not None and self.commissioning.stopped:
+            session.stop()  # before there was a run to stop
+        self._close_questions()
+        self._turn_to(pages()["commission"])
+
+    def _follow(self, folder: Path, process: Popen[bytes] | None) -> Session:
+        before = self.session if self.session and self.session.folder == folder else None
         session = self.open_runs.background
         if session is None or session.folder != folder:
             session = self._session(folder, process)
@@ -286,9 +327,7 @@ class HilcellApp(Application):
             session.feed.start()
         self._shown_s = time.monotonic()
         self.open_runs.show(session)
-        while len(self.screen_stack) > 1:
-            self.pop_screen()
-        self.push_screen(RunScreen(point_filter if before is not None else PointFilter()))
+        return session
 
     def _session(self, folder: Path, process: Popen[bytes] | None) -> Session:
         from hilcell.tui.session import Session
@@ -351,6 +390,8 @@ class HilcellApp(Application):
 
     def on_unmount(self) -> None:
         """Leave the process as it was found."""
+        if self.commissioning is not None:
+            self.commissioning.stop()
         if self._collector is not None:
             self._collector.end()
 
@@ -395,6 +436,8 @@ class HilcellApp(Application):
         """Stop everything; where nothing runs, go back."""
         live = self.open_runs.live
         over = self.view is not None and self.view.ended
+        halted, self._halted = self._halted, False
+        halted |= self.commissioning is not None and self.commissioning.stop()
         sent = self.open_runs.stop()
         if live or (sent and not over):
             self._close_questions()
@@ -406,6 +449,8 @@ class HilcellApp(Application):
             if any(session.view.state == "silent" for session in live):
                 notice += ", but it does not answer: use the E-stop"
             self.show_notice(notice, for_now=received)
+        elif halted:
+            self.show_notice("commissioning is stopped; nothing moves")
         elif len(self.screen_stack) > 2:
             self.pop_screen()
         elif self.session is not None:
@@ -450,12 +495,21 @@ class HilcellApp(Application):
             self.exit(0)
         else:
             self._close_questions()
+            again = " Commissioning will repeat its step." if self.commissions else ""
             self.ask(
                 "A run is live.",
-                "Detach: its engine works on without this screen. Esc stops it, from here, too.",
+                "Detach: its engine works on without this screen. Esc stops it, from here, too."
+                + again,
                 "detach",
                 self.do_detach,
             )
+
+    def do_commission(self) -> None:
+        """Show the commissioning, with its run where that goes on in the background."""
+        behind = self.open_runs.background
+        if behind is not None and self.commissions:
+            self._follow(behind.folder, None)
+        self._turn_to(pages()["commission"])
 
     def do_new(self) -> None:
         from hilcell.tui.screens.start import StartScreen

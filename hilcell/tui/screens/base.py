@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from subprocess import Popen
 
     from hilcell.run.control import Command
+    from hilcell.tui.commissioning import Work
     from hilcell.tui.run_view import RunView
     from hilcell.tui.session import Session
     from hilcell.tui.text.alarms import AlarmContext
@@ -115,6 +116,7 @@ class Application(App[int]):
         super().__init__()
         self.options, self.glyphs, self.keymap = options, options.glyphs, options.keymap
         self.key_is_deliberate = True  # whether the current key came by itself, not in a burst
+        self.commissioning: Work | None = None  # in work, or the last that was
 
     @property
     def session(self) -> Session | None:
@@ -132,6 +134,11 @@ class Application(App[int]):
     @property
     def live(self) -> bool:
         return self.view is not None and self.view.live
+
+    @property
+    def commissions(self) -> bool:
+        """Whether steps of a commissioning are in work."""
+        return self.commissioning is not None and self.commissioning.at_work
 
     @property
     def shown_session(self) -> Session:
@@ -190,6 +197,10 @@ class Application(App[int]):
     def refusal(self, name: str) -> str:
         if name in ELSEWHERE and not hasattr(self.page, f"do_{name}"):
             return ELSEWHERE[name]
+        if self.commissions and name in ("again", "onward"):
+            return "a step is in work"
+        if self.commissions and name in ("stop", "commission"):
+            return ""
         unacknowledged = self.session is not None and self.session.latch.waits()
         behind = self.open_runs.background is not None
         return refusal(name, self.view, background=behind, unacknowledged=unacknowledged)
@@ -227,7 +238,12 @@ class Application(App[int]):
         else:
             what = "The robot and the rail" if view.has_rail else "The robot"
             text = f"{what} may move at once."
-            self.ask("Go on?", text, "go on", lambda: self._command("proceed"))
+            self.ask("Go on?", text, "go on", self.proceed)
+
+    def proceed(self, until: int = 0) -> None:
+        """Let the run go on; ``until``: the last record that was known when it was agreed to."""
+        subject: Subject = {"until": until} if until else {}
+        self._command("proceed", **subject)
 
     def do_abort(self) -> None:
         self.ask(
@@ -303,6 +319,33 @@ class Application(App[int]):
                 raise HilcellError(reason)
 
         self.start_task(watch())
+
+    def begin_commissioning(self, path: Path, operator: str, first: str, only: str) -> None:
+        """Perform a cell's steps; each run is an engine that this screen starts and shows."""
+        from hilcell.tui.commissioning import Work
+
+        work = Work(path, operator, self.options.runs, self._start_step, self._commissioned)
+        self.commissioning = work
+        self.start_task(run_in_thread(work.perform, first, only))
+
+    def _start_step(self, folder: Path, arguments: list[str]) -> Callable[[], str]:
+        """Start a step's engine, in the thread of the work; return what waits for its end."""
+        started = process.start_engine(folder.parent, folder.name, arguments)
+        self.call_from_thread(self.show_step, folder, started.process)
+        return started.wait_for_end
+
+    def _commissioned(self) -> None:
+        """Show what is new; called by any thread."""
+        if isinstance(self.page, BaseScreen):
+            self.call_later(self.page.show_again)
+
+    def do_new(self) -> None:
+        """Show the form of a new run, and nothing else."""
+        raise NotImplementedError
+
+    def show_step(self, folder: Path, process: Popen[bytes]) -> None:
+        """Show a step's run on the screen of commissioning."""
+        raise NotImplementedError
 
     async def _ask_once_more(self, session: Session, choice: str) -> None:
         self.show_notice("the tracker measures once more ...")

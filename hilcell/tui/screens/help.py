@@ -10,6 +10,7 @@ from hilcell.tui.keys import ACTIONS, Keymap, shown
 from hilcell.tui.layout import BLANK, Cell, Col, Grid, Lines, Stack, Text
 from hilcell.tui.run_view import RunView
 from hilcell.tui.screens.base import BaseScreen
+from hilcell.tui.screens.commissioning import CommissionScreen
 from hilcell.tui.screens.pages import HistoryPage, LogPage, PlotPage, TextPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import StartScreen
@@ -75,6 +76,7 @@ class HelpPage(TextPage):
         "the plots": PlotPage,
         "the runs": HistoryPage,
         "the log": LogPage,
+        "commissioning": CommissionScreen,
         "other pages": TextPage,
     }
 

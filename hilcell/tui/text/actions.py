@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 
 POINTS, HISTORY = "only where the points are listed", "only in the history"
+STEPS = "only in commissioning"
 ELSEWHERE = {  # actions of certain screens: the refusal on all others
     "bad": POINTS,
     "sort": POINTS,
@@ -24,6 +25,8 @@ ELSEWHERE = {  # actions of certain screens: the refusal on all others
     "find": "only where there are rows to filter",
     "mark": HISTORY,
     "compare": HISTORY,
+    "again": STEPS,
+    "onward": STEPS,
 }
 ONE_AT_A_TIME = "a run is live: stop, abort or detach from it first"
 NOT_LIVE = "no run is live"
@@ -60,7 +63,7 @@ def refusal(name: str, view: RunView | None, *, background: bool, unacknowledged
             if view is None or not live:
                 return "go back to the live run first" if background else NOT_LIVE
             return no_answer_reason(view)
-        case "new":
+        case "new" | "commission" | "again" | "onward":
             return ONE_AT_A_TIME if live or background else ""
     acts, pages = ("pause", "retake", "acknowledge"), ("alarms", "interlocks", "log", "report")
     if name not in (*acts, *pages, "plots", "bad", "sort"):

@@ -76,6 +76,13 @@ class PromptText:
         return bool(self.view.log.life) and not self.view.log.life[-1].change.error
 
     @property
+    def aims(self) -> bool:
+        """Whether a person puts the beam on a reflector whose place is not known yet."""
+        asked = self.view.log.life[-1].change.prompt if self.view.log.life else None
+        by_itself = asked is not None and bool(asked.get("by_itself"))
+        return by_itself and self.prompt.expected_mm is None
+
+    @property
     def count(self) -> str:
         """Return how far a step has come that measures with reflectors placed by hand."""
         plan, step = self.view.log.plan, self.view.step
@@ -105,7 +112,7 @@ class PromptText:
         """Return the task, how far the reflector is off, and whether it is visible."""
         place, off, seen, low = self._place(), [], [], low or bool(self.prompt.choices)
         if self.prompt.check:
-            off, seen = self._off(low=low), self._visibility()
+            off, seen = [] if self.aims else self._off(low=low), self._visibility()
         choices = [
             Content.assemble((f" {key} ", "bold $foreground on $badge"), f" {choice.text}")
             for key, choice in zip(CHOICE_KEYS, self.prompt.choices, strict=False)
@@ -121,6 +128,8 @@ class PromptText:
         if nest := nests.get(place):
             xyz = f"x {nest.x_mm:.0f} y {nest.y_mm:.0f} z {nest.z_mm:.0f} mm"
             at = Content.assemble(("at ", "$label"), xyz)
+        if self.aims:
+            return [BLANK]
         if not self.asks_to_place:
             return [Content.styled(f"At {place}" if place else "", "bold"), at]
         take = self.view.log.seated
@@ -163,7 +172,9 @@ class PromptText:
         ago = Content.styled(f"  {age} ago", "$label")
         if view.stale:
             return [Content.styled(f"{glyphs.stale} last reading {age} ago", "$stale")]
-        if prompt.expected_mm is None:
+        if self.aims:
+            words = "reflector measured" if prompt.ready else "no reflector yet"
+        elif prompt.expected_mm is None:
             words = "strip reading valid" if prompt.ready else "strip reading invalid"
         else:
             words = "not visible" if prompt.seen_mm is None else "reflector visible"

@@ -82,7 +82,7 @@ def allowed(state: str) -> set[str]:
         found |= {"bad", "sort", "retake"}
     if SPACE[state] is not None:
         found.add("pause")
-    found |= {"stop", "detach"} if state in LIVE else {"new"}
+    found |= {"stop", "detach"} if state in LIVE else {"new", "commission"}
     found |= {"abort"} if state in HEARD else set()
     found -= {"retake"} if state in ("silent", "checking", "refused") else set()
     if state in ("suspended", "aborted", "fault", "refused", "gone", "intolerant"):
