@@ -213,7 +213,7 @@ class Drive:
         """
         here = self._image.units.position(counts)
         for offset in (here, -here):
-            self._sdo.require(Object.HOME_OFFSET, 0, offset, "the position is the strip's")
+            self._sdo.require(self._homing.offset, 0, offset, "the position is the strip's")
             now = self._run_homing(moves=False)
             if abs(now.position - counts) <= tolerance:
                 return

@@ -16,6 +16,7 @@ from typing import ClassVar
 PER_MINUTE = 60.0
 METRE, DEGREE, REVOLUTION, INCREMENT, RPM = 0x01, 0x41, 0xB4, 0xB5, 0xC0  # numerators
 SECOND, MINUTE, SQUARE_SECOND = 0x03, 0x47, 0x57  # denominators
+VELOCITY_ENCODER = 0x6090  # counts a turn: increments, revolutions
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,9 +129,12 @@ class Stated:
     counts_per_turn: float | None
 
     @classmethod
-    def read(cls, read: Callable[[int, int], int | None]) -> Stated:
-        """``read`` returns an object's value, None where the drive lacks it."""
-        increments, turns = read(0x6090, 1), read(0x6090, 2)
+    def read(cls, read: Callable[[int, int], int | None], turn: tuple[int, int]) -> Stated:
+        """``read`` returns an object's value, None where the drive lacks it; ``turn`` is the object
+        of the counts of a turn: 6090h:01, divided by 6090h:02, or a maker's own.
+        """
+        increments = read(*turn)
+        turns = read(0x6090, 2) if turn[0] == VELOCITY_ENCODER else 1
         per_turn = increments / turns if increments and turns else None
         speed = read(0x60A9, 0)
         return cls(read(0x60A8, 0), speed, None if speed is None else read(0x60AA, 0), per_turn)

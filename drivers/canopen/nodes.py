@@ -252,11 +252,12 @@ def identify(sdo: SdoChannel, expected: Expected, profile: int, address: str) ->
 class Homing:
     """How a drive gets its reference; ``counts``: its position where a motion has found it."""
 
-    HERE = (35, 37)  # methods: the slide stays, and is where 607Ch says
+    HERE = (35, 37)  # methods: the slide stays, and is where the offset says
 
     method: int | None  # 6098h; None: the drive is absolute
     fast_mm_s: float
     counts: int
+    offset: int = Object.HOME_OFFSET  # or the maker's own object
 
     @property
     def moves(self) -> bool:
@@ -273,7 +274,7 @@ def set_up_drive(
     """
 
     def require(index: int, sub: int, value: int, what: str, *, needed: bool = False) -> None:
-        optional = index in OPTIONAL_OF_DRIVE and not needed
+        optional = index in (*OPTIONAL_OF_DRIVE, homing.offset) and not needed
         sdo.require(index, sub, value, what, optional=optional)
 
     acceleration = units.of_acceleration(limits.acceleration)
@@ -293,7 +294,7 @@ def set_up_drive(
     if homing.moves:
         where = "the drive reads home_mm where it has homed"
         at = units.position(homing.counts)
-        require(Object.HOME_OFFSET, 0, at, where, needed=at != 0)
+        require(homing.offset, 0, at, where, needed=at != 0)
         require(Object.HOMING_SPEEDS, 1, fast, "speeds of homing", needed=True)
         require(Object.HOMING_SPEEDS, 2, slow, "speeds of homing", needed=True)
         require(Object.HOMING_ACCELERATION, 0, acceleration, "ramp of homing")

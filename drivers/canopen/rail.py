@@ -34,9 +34,10 @@ from drivers.canopen.nodes import (
     start_nodes,
 )
 from drivers.canopen.process_image import ProcessImage, ReadStrip, Snapshot
+from drivers.canopen.requirements import object_name
 from drivers.canopen.sdo import SdoChannel, open_channel
 from drivers.canopen.slcan_bus import Interface, bus_problems
-from drivers.canopen.vendor_profiles import vendor_profile
+from drivers.canopen.vendor_profiles import make_of
 from drivers.device_errors import RAIL
 from drivers.slide import READINGS, Rest, Standstill, Windows, check_travel, strip_spread
 from drivers.strips import (
@@ -311,7 +312,7 @@ class CanopenRail:
         try:
             drive = open_channel(link, o.drive_node, "drive.eds", check)
             off = requirements.is_off(drive)
-            found = [*requirements.inspect(drive, "Drive", requirements.DRIVE, off=off)]
+            found = [*requirements.inspect(drive, "Drive", make_of(drive).objects(), off=off)]
             if o.strip is None:
                 strip = open_channel(link, o.strip_node, "strip.eds", check)
                 found += requirements.inspect(strip, "Strip", requirements.STRIP, off=off)
@@ -410,7 +411,9 @@ class CanopenRail:
     def _units(self) -> DriveUnits:
         """Return the units by the options and by what the drive states; raises `DeviceRefused`."""
         o, sdo = self._options, self._nodes[0].sdo
-        stated = Stated.read(sdo.read_if_present)
+        make = make_of(sdo)
+        self._homing = replace(self._homing, offset=make.home_offset)
+        stated = Stated.read(sdo.read_if_present, make.turn)
         given = Unit.of(o.speed_unit) if o.speed_unit else None
         given_ramp = Unit.of(o.acceleration_unit) if o.acceleration_unit else None
         for where, value, expected in stated.contradictions(
@@ -425,11 +428,9 @@ class CanopenRail:
                 object=where,
                 stated=value,
             )
-        make = vendor_profile(sdo.read(Object.IDENTITY, 1))
         speed, ramp = given or stated.speed, given_ramp or stated.acceleration
-        if speed is None and make is not None:
+        if speed is None:
             speed, ramp = Unit.of(make.speed_unit), ramp or Unit.of(make.acceleration_unit)
-        speed = speed or Unit.of("counts/s")
         ramp = ramp or Unit.of(speed.per_second())
         per_turn = o.counts_per_turn or stated.turn_counts or 0.0
         if not per_turn and (speed.of_turns or ramp.of_turns):
@@ -437,9 +438,9 @@ class CanopenRail:
                 "HC-R54",
                 "connect",
                 f"units are {speed.text} and {ramp.text}, and the drive does not state the counts "
-                "of a turn (6090h)",
+                f"of a turn ({object_name(*make.turn)})",
                 expected="counts_per_turn in [rail.options]",
-                object="6090h",
+                object=object_name(*make.turn),
                 stated="",
             )
         units = DriveUnits(

@@ -36,7 +36,11 @@ class Requirement:
 
     @property
     def name(self) -> str:
-        return f"{self.index:04X}h" + (f":{self.sub:02X}" if self.sub > 0 else "")
+        return object_name(self.index, self.sub)
+
+
+def object_name(index: int, sub: int) -> str:
+    return f"{index:04X}h" + (f":{sub:02X}" if sub > 0 else "")
 
 
 def _may(index: int, sub: int, purpose: str, instead: str, *, setting: bool = False) -> Requirement:

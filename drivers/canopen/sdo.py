@@ -114,6 +114,7 @@ class SdoChannel:
         self._number = number
         self._link, self._check = link, check
         self._objects = node.object_dictionary
+        self._aliases: dict[tuple[int, int], ODVariable] = {}
         self._lock = threading.Lock()
         self._tainted = False
         self._doubles = 0
@@ -121,6 +122,10 @@ class SdoChannel:
         self._client = _Client(0x600 + number, 0x580 + number, self._objects, link, check)
         node.sdo_channels.append(self._client)
         node.sdo = self._client
+
+    def alias(self, index: int, sub: int, like_index: int, like_sub: int) -> None:
+        """Let an object that the EDS lacks have the type of one that it has."""
+        self._aliases[index, sub] = self._object(like_index, like_sub)
 
     def read(self, index: int, sub: int = 0, *, tries: int = TRIES) -> int:
         """Value as the EDS types it; raises `Aborted` or `DeviceError`. A shorter integer is the
@@ -281,7 +286,7 @@ class SdoChannel:
         return data
 
     def _object(self, index: int, sub: int) -> ODVariable:
-        variable = self._objects.get_variable(index, sub)
+        variable = self._aliases.get((index, sub)) or self._objects.get_variable(index, sub)
         if variable is None:
             raise LookupError(f"{_name(index, sub)} is missing in the EDS of node {self._number}")
         return variable
