@@ -35,7 +35,7 @@ from drivers.kuka.controller_side import variable_server
 from drivers.kuka.krl import JOINTS, POSE, SLIDE
 from drivers.kuka.robot import KukaOptions, KukaRobot, candidates
 from drivers.supervision import HEARTBEAT_TIMEOUT_S, Deadline, ignore_stop, on_failure
-from hilcell.ports import Array, Candidate, Clock, ControllerSide
+from hilcell.ports import Array, Candidate, Clock, ControllerSide, DeviceError
 from hilcell.sanitize import clean
 from hilcell.wire.channel import Port
 
@@ -92,6 +92,7 @@ class C3Connection(ControllerLink):
     """One connection; a request has a tag."""
 
     _tag = 0
+    _has_stopped = False
 
     def read(self, name: str) -> str:
         """Return the text of a variable; raises `DeviceError`."""
@@ -114,9 +115,15 @@ class C3Connection(ControllerLink):
         with self._unheard():
             self._link.send(encode(self._next_tag(), name, value), f"write {name}")
             self._dead = f"{name} was written without waiting for its reply"
+            self._has_stopped = True
 
     def keep_alive(self) -> None:
-        self.read("$MODE_OP")
+        """Ask something harmless, unless the stop has gone over this connection: its last use."""
+        try:
+            self.read("$MODE_OP")
+        except DeviceError:
+            if not self._has_stopped:
+                raise
 
     def _next_tag(self) -> int:
         self._tag = self._tag % 0xFFFF + 1

@@ -391,6 +391,20 @@ def test_idle_connections_are_kept_and_a_loss_is_reported(
     assert refusal(robot.read).code == "HC-B02"
 
 
+def test_the_connection_of_a_stop_is_not_kept_afterwards(
+    bed: RobotBed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(controller.KeepAlive, "IDLE_S", 0.0)
+    monkeypatch.setattr(controller.KeepAlive, "PERIOD_S", 0.01)
+    robot = bed.connect()
+    keeper = robot.wire()._keeper
+    robot.stop()
+    soon(lambda: "write HC_STOP" in bed.peer.requests)
+    asked = bed.peer.requests.count("read $MODE_OP") + 3
+    soon(lambda: bed.peer.requests.count("read $MODE_OP") >= asked or bool(keeper._failure))
+    keeper.check()
+
+
 def test_options_are_strict() -> None:
     options = {"host": "x", "smr_mm": [1.0, 2.0, 3.0], "joint": [], "prt": 1, "tool": 0}
     with pytest.raises(SettingsError) as caught:
