@@ -17,7 +17,7 @@ from hilcell.cell.file import Cell
 from hilcell.cell.layout import Nest
 from hilcell.cell.tables import Pose
 from hilcell.decoding import typed
-from hilcell.journal.log import Log, world_key
+from hilcell.journal.log import Log, positions_mm, world_key
 from hilcell.model.frame import Matrix
 from hilcell.model.plan import PlannedStep, Span
 from hilcell.model.point import BACK, LENGTH, PointId
@@ -25,6 +25,7 @@ from hilcell.model.results import StepResult
 from hilcell.model.verdicts import FacesCompared, LengthsChecked
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result, Step
+from hilcell.run.watch import check_reflector
 from procedures import plan
 
 
@@ -135,8 +136,11 @@ class WorldFrame:
         layout = session.cell.layout
         if not layout.length or session.log.verdict(LengthsChecked) is not None:
             return
-        for nest in layout.bar:
-            session.floor_nest_point(PointId(LENGTH, nest=nest.name), nest)
+        bar = [
+            session.floor_nest_point(PointId(LENGTH, nest=nest.name), nest) for nest in layout.bar
+        ]
+        floor = [session.log.point(PointId("world", nest=nest.name)) for nest in layout.floor]
+        check_reflector(session.cell, layout.fixed_nests, positions_mm([*floor, *bar]))
         found = known_lengths(session.cell, session.log)
         wrong = [each.text for each in found if not each.holds]
         session.judge("known-length", LengthsChecked(holds=not wrong, lengths=found, wrong=wrong))

@@ -16,6 +16,7 @@ from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import coverage_factor, expanded
 from hilcell.identification.reflector_radius import RADIUS_MM, SHIFTS_MM
 
+PROOF = 3.0  # sigmas of a shift that proves another reflector
 UPRIGHT = 0.0  # least cosine between the tracker's z and that of {W}
 
 
@@ -25,8 +26,8 @@ class Recognition:
     the nominal places, NaN for none.
 
     ``U_mm`` and ``U_rad`` (k = 2) of the tracker's place and rotation, one coordinate in the worst
-    direction. ``shift_mm``: of every reading along its beam, as of a reflector of another radius;
-    0, or else more than its uncertainty.
+    direction. ``shift_mm``: of every reading along its beam, where that proves a reflector of
+    another radius, else 0.
     """
 
     nests: tuple[int, ...]
@@ -74,6 +75,15 @@ def may_be_nests(nominal_mm: Array, seen_mm: Array, tolerance_mm: float) -> bool
             if len(at_mm) < 3 or _off_mm(nominal_mm[list(nests)], at_mm).max() <= tolerance_mm:
                 return True
     return False
+
+
+def proven_shift(nominal_mm: Array, seen_mm: Array) -> float:
+    """Return by how much readings of nests (N, 3), {L}, are off along their beams as of another
+    reflector; 0 where nothing proves one.
+    """
+    fits = [_fit(nominal_mm, seen_mm, shift_mm) for shift_mm in SHIFTS_MM[1:]]
+    proven = [fit for fit in fits if fit is not None]
+    return min(proven, key=lambda fit: float(fit.off_mm.max())).shift_mm if proven else 0.0
 
 
 def _matches(
@@ -129,8 +139,8 @@ def _fit(nominal_mm: Array, seen_mm: Array, shift_mm: float) -> _Fit | None:
     normal = A.T @ A + 1e-12 * np.eye(unknowns)  # what is not determined becomes very uncertain
     covariance = np.linalg.inv(normal) * float(np.sum(off_mm**2)) / freedom
     if near_mm:
-        U_shift_mm = expanded(covariance[6:, 6:], freedom)
-        if not U_shift_mm < abs(shift_mm) or not abs(shift_mm - near_mm) <= RADIUS_MM:
+        least_mm = coverage_factor(PROOF, freedom) * float(np.sqrt(covariance[6, 6]))
+        if not (least_mm < abs(shift_mm) and abs(shift_mm - near_mm) <= RADIUS_MM):
             return None
     U_mm, U_rad = (expanded(covariance[at, at], freedom) for at in (slice(3), slice(3, 6)))
     return _Fit(T, off_mm, U_mm, U_rad, shift_mm)

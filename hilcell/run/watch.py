@@ -29,9 +29,11 @@ import numpy as np
 from hilcell.calibration.diagnosis import NOTICED_BY, reference_c
 from hilcell.calibration.frames import world_from_tracker
 from hilcell.calibration.misplaced_nests import misplaced_nest, other_reflector
-from hilcell.cell.file import Cell, Station
+from hilcell.cell.file import Cell, Nest, Station
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import BeamNoise, coverage_factor, lengths_mm
+from hilcell.identification.places import proven_shift
+from hilcell.identification.reflector_radius import reflectors_of
 from hilcell.journal.log import VERIFICATION_KINDS, noise_at, positions_mm, run_noise, world_key
 from hilcell.model.events import (
     AmbientInLimits,
@@ -575,6 +577,24 @@ def check_distances(cell: Cell, measured_mm: Array) -> None:
             expected=f"{wrong.wanted_mm:.2f} +-{limit_mm:.1f} mm",
             act=act,
             fields=fields,
+        )
+    check_reflector(cell, cell.layout.floor, measured_mm)
+
+
+def check_reflector(cell: Cell, nests: Sequence[Nest], measured_mm: Array) -> None:
+    """Refuse readings of nests (N, 3) that prove a reflector of another radius, or setting."""
+    shift_mm = proven_shift(np.array([nest.xyz_mm for nest in nests]), measured_mm)
+    if shift_mm:
+        raise DeviceError(
+            "HC-T32",
+            "Tracker",
+            "world frame",
+            f"the nests' distances need {shift_mm:+.2f} mm in every reading along its beam: "
+            f"reflectors of {reflectors_of(shift_mm)}",
+            expected=f"those of {cell.tracker.reflector!r}",
+            act="seat these in all nests and on the flange, or correct tracker.reflector; then "
+            "start a new run",
+            fields={"shift_mm": shift_mm, "reflector": cell.tracker.reflector},
         )
 
 

@@ -15,6 +15,7 @@ from hilcell.geometry.statistics import (
     chi2_quantile,
     coverage_factor,
     effective_freedom,
+    expanded,
     f_quantile,
     figures_of,
     from_mean_mm,
@@ -22,6 +23,7 @@ from hilcell.geometry.statistics import (
     pooled_std_mm,
     repeatability_mm,
     rms,
+    rounded,
     slope,
     trace_freedom,
 )
@@ -183,3 +185,17 @@ def test_a_limit_by_the_noise_found_is_exceeded_as_often_as_its_sigmas_say() -> 
         sigma_mm = np.sqrt(np.trace(noise.at(at_mm[:1], samples[:1])[0]))
         beyond += bool(np.linalg.norm(again_mm) > coverage_factor(2.0, noise.freedom) * sigma_mm)
     assert beyond / 600 == pytest.approx(0.0455, abs=0.02)
+
+
+def test_expanded_is_of_the_worst_direction_and_of_few_degrees_of_freedom() -> None:
+    turned = np.array([[5.0, 4.0], [4.0, 5.0]])  # variances 9 and 1
+    assert expanded(turned) == pytest.approx(6.0)
+    assert expanded(turned, freedom=4) == pytest.approx(3.0 * 2.8693, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("U", "value"), [(0.12, 1638.35), (2.3, 1638.3), (0.0098, 1638.3457), (0.0, 1638.34567)]
+)
+def test_a_value_has_the_digits_that_its_uncertainty_supports(U: float, value: float) -> None:
+    assert rounded(1638.34567, U) == value
+    assert str(rounded(-0.001, 2.0)) == "0.0"

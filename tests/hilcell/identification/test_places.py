@@ -8,7 +8,7 @@ import pytest
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import apply, from_zyx, inverse, matrix, unit
 from hilcell.geometry.kinematics import Array
-from hilcell.identification.places import may_be_nests, recognised
+from hilcell.identification.places import may_be_nests, proven_shift, recognised
 from hilcell.identification.rail_motion import jog_figures, stop_figures
 from hilcell.identification.reflector_radius import reflectors_of
 
@@ -74,6 +74,13 @@ def test_reflectors_of_another_radius_are_known_by_their_distances(
         assert may_be_nests(NOMINAL_MM, seen_mm[:seen], 5.0)
     seen_mm[-1] += [0.0, 200.0, 0.0]
     assert not may_be_nests(NOMINAL_MM, seen_mm, 5.0)
+
+
+def test_few_nests_with_errors_of_a_drawing_prove_no_other_reflector() -> None:
+    for seed in range(40):
+        _, order, seen_mm = seen_of(np.random.default_rng(seed), 3)
+        errors_mm = np.random.default_rng([seed, 1]).normal(scale=2.0, size=(3, 3))
+        assert proven_shift(NOMINAL_MM[order], seen_mm + errors_mm) == 0.0
 
 
 @dataclass

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hilcell.cell.tables import Pose
-from hilcell.geometry.frames import apply, inverse
+from hilcell.geometry.frames import apply, inverse, unit
 from hilcell.ports import Array, NoReading, TrackerReading
 from hilcell.run.cell_session import CellSession
 from procedures.world_frame import WorldFrame
@@ -158,8 +158,12 @@ def test_an_answer_that_is_no_choice_of_the_prompt_is_refused(tmp_path: Path) ->
         live.runner.stop()
 
 
-def test_an_unattended_run_says_at_once_where_it_has_looked(tmp_path: Path) -> None:
-    bed, _ = hall(tmp_path, NOMINAL_MM + [150.0, 0.0, 0.0])
+@pytest.mark.parametrize("right", [0, 1])
+def test_an_unattended_run_says_at_once_where_it_has_looked(right: int, tmp_path: Path) -> None:
+    """At the first nest that is not there: nothing has shown yet that the cell file is right."""
+    world_mm = NOMINAL_MM + [150.0, 0.0, 0.0]
+    world_mm[:right] = NOMINAL_MM[:right]
+    bed, _ = hall(tmp_path, world_mm)
     bed.unattended = True
     assert bed.run(FRAME) == 3
     assert bed.states() == ["checking", "running", "faulted"]
@@ -168,3 +172,19 @@ def test_an_unattended_run_says_at_once_where_it_has_looked(tmp_path: Path) -> N
     assert end.error["code"] == "HC-T11"
     assert f"searched {RADIUS_MM:.0f} mm around" in end.error["found"]
     assert end.error["fields"]["searched_mm"] == RADIUS_MM
+
+
+@pytest.mark.parametrize(("mounted_mm", "shift_mm"), [(6.35, 12.7), (11.1125, 7.94)])
+def test_reflectors_of_another_radius_are_named(
+    mounted_mm: float, shift_mm: float, tmp_path: Path
+) -> None:
+    """The tracker is set to 1.5 in; with three nests on the floor those of the bar prove it."""
+    bed, tracker = hall(tmp_path, NOMINAL_MM)
+    tracker.nests_mm += (mounted_mm - 19.05) * unit(tracker.nests_mm)
+    bed.unattended = True
+    assert bed.run(FRAME) == 3
+    end = bed.log().end
+    assert end is not None
+    assert end.error["code"] == "HC-T32"
+    assert end.error["fields"]["shift_mm"] == pytest.approx(shift_mm, abs=0.2)
+    assert "where the tracker is set to 1.5 in" in end.error["found"]
