@@ -33,6 +33,7 @@ KNOWN = {
     "rail.heartbeat_loss": "this node's heartbeats stop (node) | a heartbeat",
     "rail.node_reset": "this node of the drive's bus reboots (node) | a poll of the moving slide",
     "rail.emcy": "EMCY with this code, e.g. 0x7305 (code) | a poll of the moving slide",
+    "rail.unplugged": "no frame passes to or from the PC for this (s) | a poll of the moving slide",
     "rail.fault": "the drive goes to FAULT (EMCY code) | a poll of the moving slide",
     "rail.limit_switch": "a limit switch opens (-1 or 1) | a poll of the moving slide",
     "rail.no_acknowledge": "set-point never acknowledged | a new set-point",

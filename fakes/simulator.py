@@ -110,6 +110,11 @@ class PaperCell:
             at_rest=True,
         )
 
+    def pull_cable(self, device: str) -> None:
+        """As `hilcell.ports.HasPerson`: after so many polls of the moving device."""
+        polls = 300
+        self._control.ask("fault", name=f"{device}.unplugged", after=polls)
+
     def heal(self) -> None:
         self._control.ask("clear")
 

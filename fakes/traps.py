@@ -78,6 +78,10 @@ def _nodes_exchanged(cell: Cell) -> Cell:
     return with_sizes(cell, rail_device=nodes)
 
 
+def _heedless(cell: Cell) -> Cell:
+    return with_sizes(cell, rail_device={"watchful": False})
+
+
 def _nests_exchanged(cell: Cell) -> Cell:
     """The second and the third nest on the floor carry each other's names."""
     first, second, third, *more = cell.layout.floor
@@ -119,6 +123,7 @@ TRAPS: Mapping[str, Trap] = {
     "scale-10": Trap("the drive counts ten times as much a mm", _scaled(10.0)),
     "speed-rpm": Trap("the drive takes speeds in turns of its motor a minute", _speed_in("rpm")),
     "speed-0.1": Trap("the drive takes speeds in 0.1 counts/s", _speed_in("0.1 counts/s")),
+    "no-self-stop": Trap("the drive does not notice that the PC has died", _heedless),
     "nests-exchanged": Trap("two nests on the floor carry each other's names", _nests_exchanged),
     "tracker-upside-down": Trap("the tracker hangs upside down", _upside_down),
     "other-smr": Trap("the reflectors are of 0.5 in", _other_reflector),

@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import astuple, dataclass
 from threading import Event
-from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -424,14 +424,15 @@ class StatesSettings(Protocol):
 class RailTrace:
     """A jog: times, positions of drive and strip, and the drive's own speed (N,), a row a poll.
 
-    ``stopped_by``: "bound" or "stop" for a quick stop, "" where the drive ended the motion.
+    ``stopped_by``: "bound" or "stop" for a quick stop, "lost" for a link that was lost before the
+    end, "" where the drive ended the motion.
     """
 
     taken_s: Array
     drive_mm: Array
     strip_mm: Array
     velocity_mm_s: Array
-    stopped_by: Literal["", "bound", "stop"]
+    stopped_by: Literal["", "bound", "stop", "lost"]
 
 
 @runtime_checkable
@@ -455,6 +456,33 @@ class Jogs(Protocol):
     def rescaled(self, drive: float, strip: float, speed: float) -> dict[str, object]:
         """Return the driver's options with which positions of drive and strip, and the drive's
         speeds, are multiplied by these factors; negative ones change the sign.
+        """
+
+
+class AfterLoss(NamedTuple):
+    """How a device stands that answers again after its link was lost; ``text``: its own state."""
+
+    stopped: bool  # at rest, without power
+    text: str
+
+
+@runtime_checkable
+class StopsItself(Protocol):
+    """A connected rail that must stop by itself where the link to the PC is lost."""
+
+    own_stop_s: float  # of its class: the longest time from the PC's last sign until it brakes
+
+    def jog_until_lost(
+        self, distance_mm: float, *, bound_mm: float, speed_mm_s: float
+    ) -> RailTrace:
+        """Jog as `Jogs.jog`. Where the link is lost meanwhile, send no stop and fall silent; the
+        trace then ends with the last poll. The slide counts as not held until `regain`.
+        """
+
+    def regain(self) -> AfterLoss:
+        """Read how the device stands, before anything is written to it, then connect as usual.
+
+        Raises `DeviceError` while it does not answer, or had no time to stop.
         """
 
 
@@ -568,6 +596,14 @@ class SimulatedCell(Protocol):
 
     def close(self) -> None:
         """Let go of the cell; end its process, if it was started here."""
+
+
+@runtime_checkable
+class HasPerson(Protocol):
+    """A simulated cell with a person in it, who does what a real person is asked to do."""
+
+    def pull_cable(self, device: str) -> None:
+        """Let the person pull the cable of ``rail`` while it moves next, and plug it in again."""
 
 
 @runtime_checkable

@@ -26,6 +26,7 @@ from drivers.canopen.drive_units import PER_MINUTE, DriveUnits, Stated, Unit, un
 from drivers.canopen.motion_guard import Limits
 from drivers.canopen.nodes import (
     HOMING_SLOW_MM_S,
+    PC_HEARTBEAT_LIMIT_MS,
     Expected,
     Homing,
     Node,
@@ -54,6 +55,7 @@ from drivers.supervision import Deadline, Watchdog, ignore_stop, on_failure
 from hilcell.cell.settings import refuse
 from hilcell.ports import (
     Ability,
+    AfterLoss,
     Candidate,
     Clock,
     ControllerSide,
@@ -64,14 +66,16 @@ from hilcell.ports import (
     RailTrace,
 )
 
+LOST = frozenset({"HC-R01", "HC-R02", "HC-R05", "HC-R06", "HC-R07"})  # of a link that is lost
 SLACK_MM = 5.0  # the slide may read so far beyond its travel before that is a runaway
 
 
 class CanopenRail:
-    """Satisfies `hilcell.ports.Rail`, `Jogs`, `Inspects` and `Discovers`."""
+    """Satisfies `hilcell.ports.Rail`, `Jogs`, `StopsItself`, `Inspects` and `Discovers`."""
 
     LATE_S = 0.8  # below the consumer time of the drive (1016h)
     WINDOW_MM = 0.05
+    own_stop_s = PC_HEARTBEAT_LIMIT_MS / 1000
 
     class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """The bus, the two nodes, their scales and units, and how the drive gets its reference.
@@ -139,6 +143,7 @@ class CanopenRail:
         self._drive: Drive | None = None
         self._ended_s: float | None = None  # when the end of the last motion was detected
         self._held_by_sdo = 0
+        self._lost_s: float | None = None  # since when a moving slide is without a link
         self._nodes: tuple[Node, ...] = ()
         self._feed: StripReader | None = None  # of a strip that is not on the bus
         if options.strip is not None:
@@ -245,17 +250,40 @@ class CanopenRail:
 
         Raises `ValueError` where the bound leaves no room behind the distance.
         """
-        if not abs(distance_mm) < bound_mm:
-            raise ValueError(f"a jog by {distance_mm} mm exceeds its bound of {bound_mm} mm")
-        self._reconnect_strip()
-        drive, limits = self._used(), self._limits
-        jog = Jog(distance_mm, bound_mm, speed_mm_s, stop_after_mm, limits, [])
-        self._ended_s = None
+        jog = self._begun(distance_mm, bound_mm, speed_mm_s, stop_after_mm)
         with on_failure(self._stop_after_failure):
-            stopped_by = drive.jog(jog)
-        self._ended_s = self._clock.pc_s()
-        taken_s, drive_mm, strip_mm, velocity_mm_s = np.array(jog.polls, dtype=float).T
-        return RailTrace(taken_s, drive_mm, strip_mm, velocity_mm_s, stopped_by)
+            return self._jog(jog)
+
+    def jog_until_lost(
+        self, distance_mm: float, *, bound_mm: float, speed_mm_s: float
+    ) -> RailTrace:
+        """As `hilcell.ports.StopsItself`."""
+        jog = self._begun(distance_mm, bound_mm, speed_mm_s)
+        with on_failure(self._stop_after_failure):
+            try:
+                return self._jog(jog)
+            except DeviceError as error:
+                if error.code not in LOST or not jog.polls:
+                    raise
+            self._lost_s = time.monotonic()
+            self._close_link()  # with it the heartbeat ends, and no stop is sent
+            return _trace(jog, "lost")
+
+    def regain(self) -> AfterLoss:
+        """As `hilcell.ports.StopsItself`; the drive is read by SDO alone."""
+        o, check, spare_s = self._options, self._clock.check, 1.0
+        silent_s = math.inf if self._lost_s is None else time.monotonic() - self._lost_s
+        if not silent_s > self.own_stop_s + spare_s:
+            found = f"the PC is silent for {silent_s:.1f} s"
+            raise RAIL.failed("HC-R01", "regain", found, expected=f"{self.own_stop_s + spare_s} s")
+        link = CanLink(open_bus(o.interface, o.channel, o.bitrate), self._clock)
+        try:
+            drive = open_channel(link, o.drive_node, "drive.eds", check)
+            state = state_after_loss(drive, self._clock, self._limits)
+        finally:
+            link.close()
+        self.connect()
+        return state
 
     def rescaled(self, drive: float, strip: float, speed: float) -> dict[str, object]:
         """As `hilcell.ports.Jogs`. A unit of speed that is no power of ten of counts/s becomes rpm
@@ -294,6 +322,14 @@ class CanopenRail:
 
     def close(self) -> None:
         """Leave the slide held and the wire closed, also after a stop or a failure."""
+        if self._lost_s is not None:
+            raise RAIL.failed(
+                "HC-R37",
+                "close",
+                "the link was lost while the slide moved, and not regained",
+                expected="a slide that is confirmed as held",
+                act="keep away from the slide; press the E-stop, or switch the drive off",
+            )
         try:
             if self._image is not None and self._link is not None:
                 self._release(self._link, self._image)
@@ -371,7 +407,7 @@ class CanopenRail:
         for node in self._nodes:
             node.arm()
         drive.disable("connect")
-        self._image, self._drive, self._held_by_sdo = image, drive, 0
+        self._image, self._drive, self._held_by_sdo, self._lost_s = image, drive, 0, None
         return identities
 
     def _configure(self, link: CanLink, image: ProcessImage, watchdog: Watchdog) -> None:
@@ -472,6 +508,24 @@ class CanopenRail:
             motion()
         self._ended_s = self._clock.pc_s()
 
+    def _begun(
+        self,
+        distance_mm: float,
+        bound_mm: float,
+        speed_mm_s: float,
+        stop_after_mm: float | None = None,
+    ) -> Jog:
+        if not abs(distance_mm) < bound_mm:
+            raise ValueError(f"a jog by {distance_mm} mm exceeds its bound of {bound_mm} mm")
+        self._reconnect_strip()
+        self._ended_s = None
+        return Jog(distance_mm, bound_mm, speed_mm_s, stop_after_mm, self._limits, [])
+
+    def _jog(self, jog: Jog) -> RailTrace:
+        stopped_by = self._used().jog(jog)
+        self._ended_s = self._clock.pc_s()
+        return _trace(jog, stopped_by)
+
     def _stop_after_failure(self) -> None:
         with suppress(DeviceError):  # the first failure, which is being raised, is to be reported
             self.stop()
@@ -495,6 +549,26 @@ class CanopenRail:
         if link is not None:
             self._statistics = replace(link.statistics(), held_by_sdo=self._held_by_sdo)
             link.close()
+
+
+def _trace(jog: Jog, stopped_by: Literal["", "bound", "stop", "lost"]) -> RailTrace:
+    taken_s, drive_mm, strip_mm, velocity_mm_s = np.array(jog.polls, dtype=float).T
+    return RailTrace(taken_s, drive_mm, strip_mm, velocity_mm_s, stopped_by)
+
+
+def state_after_loss(sdo: SdoChannel, clock: Clock, limits: Limits) -> AfterLoss:
+    """Return how a drive stands that answers again, by SDO reads alone; raises `DeviceError`."""
+    state = cia.state_of(sdo.read(Object.STATUSWORD))
+    code = sdo.read_if_present(Object.ERROR_CODE) or 0
+    before, dwell_s = sdo.read(Object.POSITION_ACTUAL), 0.5
+    clock.wait(dwell_s)
+    moved = abs(sdo.read(Object.POSITION_ACTUAL) - before)
+    rests = moved <= limits.window
+    words = "at rest" if rests else f"MOVED {limits.mm(moved)} within {dwell_s} s"
+    error = f"error {cia.error_text(code)}" if cia.is_error(code) else "no error"
+    return AfterLoss(
+        stopped=rests and state is not State.ENABLED, text=f"drive {state.value}, {error}, {words}"
+    )
 
 
 class Release:

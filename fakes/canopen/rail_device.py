@@ -26,7 +26,8 @@ class RailDevice:
     An ``absolute`` drive reads the motor's true position from power-on. Homing of a drive that
     counts down takes its own directions: the negative limit switch is at the rail's upper end.
     Where it has homed, the drive reads 607Ch times ``home_offset_sign``, which differs by maker.
-    ``states_units``: 6090h, 60A8h and 60A9h exist.
+    ``states_units``: 6090h, 60A8h and 60A9h exist. A drive that is not ``watchful`` takes 1016h and
+    6007h, and notices nothing when the PC's heartbeat ends.
     """
 
     PER_MINUTE: ClassVar[float] = 60.0
@@ -44,6 +45,7 @@ class RailDevice:
     absolute: bool = False
     homing_methods: tuple[int, ...] = (17,)
     home_offset_sign: Literal[1, -1] = 1
+    watchful: bool = True
 
     @property
     def unit_counts_s(self) -> float:

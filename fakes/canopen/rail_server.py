@@ -287,6 +287,10 @@ class RailDrive(CanopenSlave):
             case _:
                 pass
 
+    def _heard(self, node: int, now_s: float) -> None:
+        if self._device.watchful:
+            super()._heard(node, now_s)
+
     def switched_off(self) -> None:
         """Close the brake and enter SWITCH ON DISABLED; the reference is lost."""
         self._rail.brake(closed=True)
@@ -525,6 +529,8 @@ class RailDrive(CanopenSlave):
 class RailServer(BusServer):
     """Serves the rail as slcan over TCP on a port, 0 for one that the system chooses."""
 
+    UNPLUGGED_S = 3  # by default
+
     def __init__(self, site: Site, port: int = 0) -> None:
         """Raises `SettingsError` without a slide."""
         rail, faults, table = site.slide(), site.faults, site.cell.rail
@@ -544,6 +550,7 @@ class RailServer(BusServer):
         self._silent: set[int] = set()
         self._delay_s = 0.0
         self._late: list[tuple[float, int, bytes]] = []
+        self._plugged_s = -math.inf  # from when on frames pass
 
     def _wait_s(self) -> float:
         look_period_s = 0.01
@@ -579,6 +586,8 @@ class RailServer(BusServer):
         super()._open()
 
     def _receive(self, cob_id: int, data: bytes) -> None:
+        if self.now_s() < self._plugged_s:
+            return
         self._delay_s = 0.0
         sdo_requests = tuple(0x600 + node for node in self._nodes)
         sdo_read = b"\x40"
@@ -599,6 +608,8 @@ class RailServer(BusServer):
     def _transmit(self, cob_id: int, data: bytes) -> None:
         heartbeats = range(0x700, 0x780)
         if cob_id in heartbeats and not self._heartbeat_sent(cob_id & 0x7F, boot_up=data == b"\0"):
+            return
+        if self.now_s() < self._plugged_s:
             return
         twin = self._faults.number("rail.second_node")
         if twin is not None and cob_id in (0x580 + twin, 0x700 + twin):
@@ -627,6 +638,8 @@ class RailServer(BusServer):
     def _apply_faults(self, now_s: float, moving: bool) -> None:
         """Apply the faults of a moving slide, and those that are set to strike at rest."""
         take = partial(self._number, moving=moving)
+        if (out_s := take("rail.unplugged", self.UNPLUGGED_S)) is not None:
+            self._plugged_s = now_s + out_s
         if (code := take("rail.emcy", 0x7305)) is not None:
             self._drive.emergency(code, 0)
         if (code := take("rail.fault", 0x8611)) is not None:

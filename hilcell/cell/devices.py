@@ -155,6 +155,34 @@ def jogging_rail(rail: ports.Rail) -> ports.Jogs:
     raise _unable("HC-R48", "Rail", "jog", "jog", "with a proved scale")
 
 
+def self_stopping_rail(rail: ports.Rail) -> ports.StopsItself:
+    """Return the rail if its self-stop can be tried; raises `DeviceRefused`."""
+    if isinstance(rail, ports.StopsItself):
+        return rail
+    raise _no_self_stop()
+
+
+def self_stop_s(cell: Cell) -> float:
+    """Return the longest time from the PC's last sign until the rail brakes by itself; raises
+    `DeviceRefused` where its driver cannot try it.
+    """
+    stated = getattr(load_entry(GROUPS["rail"], cell.rail.driver), "own_stop_s", None)
+    if not isinstance(stated, float):
+        raise _no_self_stop()
+    return stated
+
+
+def _no_self_stop() -> ports.DeviceRefused:
+    return ports.DeviceRefused(
+        "HC-R55",
+        "Rail",
+        "self-stop",
+        "no `jog_until_lost`",
+        expected="a driver with `jog_until_lost`",
+        act='verify it by hand, as docs/hardware.md describes, and answer "not now" here',
+    )
+
+
 def sweeping_robot(robot: ports.Robot) -> ports.Sweeps:
     """Return the robot if it sweeps an axis; raises `DeviceRefused`."""
     if isinstance(robot, ports.Sweeps):

@@ -275,6 +275,19 @@ def addresses_of(address: str) -> Addresses:
         simulated.close()
 
 
+def ask_the_person(cell: Cell, device: str) -> None:
+    """Ask the person in a running simulated hall to pull a cable; a real one has read it."""
+    if cell.simulation is None or not cell.simulation.address:
+        return
+    simulated = start_simulation(cell, seed=None, speed=1.0)
+    assert simulated is not None  # noqa: S101 - the cell is a simulated one
+    try:
+        if isinstance(simulated, ports.HasPerson):
+            simulated.pull_cable(device)
+    finally:
+        simulated.close()
+
+
 def what_devices_can(cell: Cell) -> list[ports.Ability]:
     """Return the abilities of all devices; nothing is written, powered or moved."""
     simulated = {} if cell.simulation is None else addresses_of(cell.simulation.address)

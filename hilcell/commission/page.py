@@ -21,6 +21,7 @@ SUFFIX = ".commissioning.html"
 # As docs/commissioning.md has it.
 NEVER_PROVED = (
     "Keep-out volumes and axis sweeps.",
+    "That the robot stops by itself when its network cable is pulled (docs/hardware.md).",
     "Speeds above those of the steps.",
     "A travel wider than the one by tape.",
     "Kinematics of a robot that hilcell does not know.",
@@ -42,7 +43,7 @@ class CommissioningPage:
 
     @property
     def unproved(self) -> list[str]:
-        return [step.name for step in self.sequence if self.status(step) != "proved"]
+        return self._record.unproved(self._text)
 
     @property
     def operators(self) -> str:

@@ -16,7 +16,7 @@ from msgspec import Struct, field
 from hilcell.atomic_files import write_whole
 from hilcell.cell.settings import SettingsError, read_file
 from hilcell.commission.cell_text import CellText
-from hilcell.commission.sequence import NAMES
+from hilcell.commission.sequence import NAMES, steps_of
 from hilcell.decoding import Json, decoded
 from hilcell.identity import Identity
 
@@ -132,6 +132,15 @@ class Commissioned(Struct, kw_only=True):
         if not last.holds:
             return "failed"
         return "changed" if self.changed(step, text) else "proved"
+
+    def unproved(self, text: CellText) -> list[str]:
+        """Return the steps that are not proved; one that may be left counts once it has failed."""
+        return [
+            step.name
+            for step in steps_of(text)
+            if self.status(step.name, text) != "proved"
+            and not (step.pulls and self.last(step.name) is None)
+        ]
 
     def changed(self, step: str, text: CellText) -> Sequence[str]:
         """Return the paths whose values are no longer those that the step proved.

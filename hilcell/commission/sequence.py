@@ -13,6 +13,7 @@ LACKS = ("has not", "read only")  # states of an ability that a person should se
 class Step(NamedTuple):
     """One step; ``procedure``: of its run, "" for one without a run. ``confirms``: a fact that only
     a person sees, asked before the run. ``of_rail``: left out where the cell has no rail.
+    ``pulls``: the device whose cable a person pulls meanwhile; such a step may be put off.
     """
 
     name: str
@@ -20,6 +21,7 @@ class Step(NamedTuple):
     procedure: str = ""
     confirms: str = ""
     of_rail: bool = False
+    pulls: str = ""
 
 
 STEPS = (
@@ -37,6 +39,13 @@ STEPS = (
         "signs, scales, speed and stop of the rail, small first",
         "commission-rail",
         of_rail=True,
+    ),
+    Step(
+        "self-stop",
+        "the slide stops by itself when its cable is pulled",
+        "commission-self-stop",
+        of_rail=True,
+        pulls="rail",
     ),
     Step("robot", "each axis by a degree", "commission-robot"),
     Step("tracker", "the tracker's pose, by the floor nests in any order", "commission-tracker"),

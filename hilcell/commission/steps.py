@@ -19,7 +19,7 @@ from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.commission.cell_text import CellText, shown
 from hilcell.commission.dialogue import Dialogue
-from hilcell.commission.first_steps import WhichDevices, what_devices_can
+from hilcell.commission.first_steps import WhichDevices, ask_the_person, what_devices_can
 from hilcell.commission.page import page_html, page_path
 from hilcell.commission.record import Check, Commissioned, StepRecord
 from hilcell.commission.sequence import ABILITIES, LACKS, Step, steps_of
@@ -29,6 +29,7 @@ from hilcell.journal.log import Log
 from hilcell.model.verdicts import Proved
 from hilcell.run.procedure import Procedure, announced
 
+NOT_NOW = "not now"
 REPEATS = 6  # of a step whose values are written and proved again
 Perform = Callable[[str], tuple[str, Log]]  # a procedure to its end: the run's name, its log
 
@@ -54,7 +55,7 @@ class Commissioning:
                 if step not in of_cell:
                     continue
                 self.dialogue.begin(step.name, step.title, of_cell.index(step) + 1, len(of_cell))
-                if not self._perform(step):
+                if not self._is_put_off(step) and not self._perform(step):
                     return False
             return True
         finally:
@@ -91,6 +92,29 @@ class Commissioning:
         )
         return False
 
+    def _is_put_off(self, step: Step) -> bool:
+        """Ask whether a step that needs somebody at a cable is performed now; one that has failed
+        is.
+        """
+        last = Commissioned.read(self.path).last(step.name)
+        if not step.pulls or (last is not None and not last.holds):
+            return False
+
+        def parse(answer: str) -> bool:
+            if answer.lower() in ("y", "yes", NOT_NOW):
+                return answer.lower() == NOT_NOW
+            raise ValueError(f'expected "yes" or "{NOT_NOW}", got {answer!r}')
+
+        put_off = self.dialogue.ask(
+            f"somebody must pull the cable of the {step.pulls} while it moves slowly, and plug it "
+            f'in again: "yes", or "{NOT_NOW}"',
+            parse,
+        )
+        if put_off:
+            later = f"hilcell commission {self.path} --only {step.name}"
+            self.dialogue.say(f"  step {step.name} is not proved; later: {later}")
+        return put_off
+
     def _agree(self, step: Step) -> None:
         """Ask before anything moves; raises `HilcellError` without agreement."""
         if not step.procedure:
@@ -108,6 +132,8 @@ class Commissioning:
         """Perform a step once."""
         if not step.procedure:
             return self._record(step, self._without_run(step))
+        if step.pulls:
+            ask_the_person(load_cell(str(self.path)), step.pulls)
         run, log = self.run(step.procedure)
         return self._record(step, checks_of(log), run, log.assets)
 
@@ -201,8 +227,7 @@ def motions(cell: Cell, procedure: Procedure) -> str:
 
 def unproved(path: Path) -> list[str]:
     """Return the steps that are not proved with the values that the cell file has."""
-    record, text = Commissioned.read(path), CellText.read(path)
-    return [each.name for each in steps_of(text) if record.status(each.name, text) != "proved"]
+    return Commissioned.read(path).unproved(CellText.read(path))
 
 
 def standing(path: Path) -> str:
@@ -216,9 +241,10 @@ def check_proved(path: Path) -> None:
     """Refuse a cell file whose commissioning has begun and has left steps unproved: its places may
     be assumed. Raises `HilcellError`.
     """
-    record = Commissioned.read(path)
+    record, text = Commissioned.read(path), CellText.read(path)
     held = {each.step for each in record.steps if each.holds}
-    never = [step.name for step in steps_of(CellText.read(path)) if step.name not in held]
+    held -= {each.name for each in steps_of(text) if each.pulls}  # of a drive, the last try counts
+    never = [name for name in record.unproved(text) if name not in held]
     if record.steps and never:
         raise HilcellError(
             f"{path}: commissioning has not proved {', '.join(never)} yet, so places and signs in "
@@ -238,6 +264,9 @@ def steps_to_perform(path: Path, first: str, only: str) -> Sequence[Step]:
     if name and name not in names:
         raise SettingsError("step", [f"unknown step {name!r}; known: {', '.join(names)}"])
     begin = names.index(name or (open_steps[0] if open_steps else names[-1]))
+    before_it = steps[begin - 1]
+    if not name and before_it.pulls and Commissioned.read(path).last(before_it.name) is None:
+        begin -= 1  # it was put off
     if before := [each for each in open_steps if each in names[:begin]]:
         raise SettingsError("step", [f"{name}: {', '.join(before)} must be proved before it"])
     return steps[begin : begin + 1] if only else steps[begin:]

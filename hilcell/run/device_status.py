@@ -6,6 +6,7 @@ reading may be old and admits no motion; motions take their own.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -20,6 +21,7 @@ from hilcell.cell.devices import (
     aiming_tracker,
     jogging_rail,
     searching_tracker,
+    self_stopping_rail,
     streaming_tracker,
     sweeping_robot,
     two_face_tracker,
@@ -257,7 +259,9 @@ class _Watched(Generic[D]):
 
 
 class _WatchedRail(_Watched[ports.Rail]):
-    """Satisfies `hilcell.ports.Rail`, and `hilcell.ports.Jogs` where its rail does."""
+    """Satisfies `hilcell.ports.Rail`, and `Jogs` and `StopsItself` where its rail does."""
+
+    own_stop_s = math.nan  # its driver's class states it
 
     @contextmanager
     def _call(self, *, moving: bool = False) -> Iterator[None]:
@@ -294,6 +298,17 @@ class _WatchedRail(_Watched[ports.Rail]):
                 speed_mm_s=speed_mm_s,
                 stop_after_mm=stop_after_mm,
             )
+
+    def jog_until_lost(
+        self, distance_mm: float, *, bound_mm: float, speed_mm_s: float
+    ) -> ports.RailTrace:
+        rail = self_stopping_rail(self._device)
+        with self._call(moving=True):
+            return rail.jog_until_lost(distance_mm, bound_mm=bound_mm, speed_mm_s=speed_mm_s)
+
+    def regain(self) -> ports.AfterLoss:
+        with self._call():
+            return self_stopping_rail(self._device).regain()
 
     def rescaled(self, drive: float, strip: float, speed: float) -> dict[str, object]:
         return jogging_rail(self._device).rescaled(drive, strip, speed)

@@ -14,7 +14,13 @@ import numpy as np
 
 from hilcell.calibration.controller_pose import check_pose
 from hilcell.calibration.frames import Frames
-from hilcell.cell.devices import Devices, jogging_rail, streaming_tracker, sweeping_robot
+from hilcell.cell.devices import (
+    Devices,
+    jogging_rail,
+    self_stopping_rail,
+    streaming_tracker,
+    sweeping_robot,
+)
 from hilcell.cell.file import Cell, RailTable, Station
 from hilcell.journal.journal import StorageError
 from hilcell.journal.log import Records, VisitedPoses
@@ -27,12 +33,14 @@ from hilcell.model.point import Point, PointId
 from hilcell.model.records import EVENTS
 from hilcell.model.verdicts import Verdict, verdict_type
 from hilcell.ports import (
+    AfterLoss,
     Array,
     Clock,
     DeviceError,
     NoReading,
     Rail,
     RailReading,
+    RailTrace,
     RobotReading,
     StripLost,
 )
@@ -367,6 +375,37 @@ class Mover(RunContext):
             distance_mm, bound_mm=bound_mm, speed_mm_s=speed_mm_s, stop_after_mm=stop_after_mm
         )
         self._hold_rail()
+        return self._jogged(key, distance_mm, bound_mm, speed_mm_s, trace)
+
+    def jog_until_lost(
+        self, key: str, distance_mm: float, *, bound_mm: float, speed_mm_s: float
+    ) -> tuple[events.SlideJogged, AfterLoss | None]:
+        """Move the slide a little, until a person pulls its cable, and wait for its return.
+
+        Return the jog and how the device stood then; None where the link was never lost.
+        """
+        rail = self_stopping_rail(self.devices.rail)
+        found: list[AfterLoss] = []
+
+        def verify() -> Verification:
+            try:
+                found.append(rail.regain())
+                self.devices.rail.read()
+            except DeviceError as error:
+                return Verification.failed(error, self.clock.pc_s())
+            return Verification(0.0, "", self.clock.pc_s())
+
+        self._prepare_rail("rail.jog", {"distance_mm": distance_mm, "bound_mm": bound_mm})
+        trace = rail.jog_until_lost(distance_mm, bound_mm=bound_mm, speed_mm_s=speed_mm_s)
+        jogged = self._jogged(key, distance_mm, bound_mm, speed_mm_s, trace)
+        if trace.stopped_by == "lost":
+            self.ask(Prompt.plug_in(), verify, None)
+        self._hold_rail()
+        return jogged, found[0] if found else None
+
+    def _jogged(
+        self, key: str, distance_mm: float, bound_mm: float, speed_mm_s: float, trace: RailTrace
+    ) -> events.SlideJogged:
         jogged = events.SlideJogged(
             key=key,
             distance_mm=distance_mm,

@@ -93,6 +93,20 @@ class Prompt(msgspec.Struct, frozen=True, kw_only=True):
         )
 
     @classmethod
+    def plug_in(cls) -> Prompt:
+        """Return the prompt to plug a rail's cable in again; it goes on by itself."""
+        return cls(
+            title="Plug the rail's cable in again",
+            text="Keep away from the slide until it stands still, and leave the cable out for 3 s "
+            "at least. The run goes on by itself once the drive answers.",
+            place="rail",
+            expected_mm=None,
+            limit_mm=1.0,
+            reason="the link to the rail is lost",
+            by_itself=True,
+        )
+
+    @classmethod
     def failed_reading(
         cls,
         cell: Cell,

@@ -123,6 +123,7 @@ def test_a_trap_is_another_sound_truth(where: str, name: str) -> None:
         "scale-10": after.counts_per_mm == 10.0 * before.counts_per_mm,
         "speed-rpm": after.speed_unit == "rpm",
         "speed-0.1": after.speed_unit == "0.1 counts/s",
+        "no-self-stop": not after.watchful,
         "nodes-exchanged": (after.drive_node, after.strip_node)
         == (before.strip_node, before.drive_node),
         "wrong-tool": controller_arm(trapped).tool_mm != controller_arm(cell).tool_mm,

@@ -102,6 +102,7 @@ def test_an_unknown_hall_is_commissioned_calibrated_and_prepared(tmp_path: Path)
 # A trap in a hall, the step that names it, its words, and the drive's counts a mm then proved.
 TRAPS = [
     ("drive-sign", 2, "rail", "opposite directions", -400.0),
+    ("no-self-stop", 3, "self-stop", "DIFFERS", -500.0),
     ("scale-10", 3, "rail", "DIFFERS", -5000.0),
     ("coupled-axis-3", 3, "controller", "axis 3 turns with axis 2 (coupled, -1)", -500.0),
     ("tracker-upside-down", 3, "tracker", "upside down", -500.0),
@@ -120,7 +121,9 @@ def test_a_trap_is_named(
     with sim_command(*hall_words, "--sheet", str(sheet), "--ports", FREE_PORTS):
         hall = json.loads((sheet / "hall.json").read_text())
         done = commission(file, answers(hall, sheet / "nests.csv"))
-    assert done.returncode == (1 if trap == "wrong-tool" else 0), done.stderr[-2000:]
+    assert done.returncode == (1 if trap in ("wrong-tool", "no-self-stop") else 0), done.stderr[
+        -2000:
+    ]
     said = done.stderr.partition(f", {step}: ")[2].partition("\nstep ")[0]
     assert words in said
     proved = load_cell(str(file)).rail.options["counts_per_mm"]

@@ -14,7 +14,7 @@ from textual.pilot import Pilot
 
 from hilcell.commission.dialogue import Question
 from hilcell.commission.record import Commissioned
-from hilcell.commission.sequence import STEPS
+from hilcell.commission.sequence import NAMES, STEPS
 from hilcell.journal.runs import read_log, run_folders
 from hilcell.tui.app import HilcellApp
 from hilcell.tui.commissioning import Work
@@ -117,12 +117,7 @@ def test_the_first_steps_are_performed_and_a_new_screen_goes_on(tmp_path: Path) 
     with hall(tmp_path, 40) as lines:
         asyncio.run(first(lines))
     steps = Commissioned.read(tmp_path / "my.toml").steps
-    assert {step.step for step in steps if step.holds} == {
-        "devices",
-        "abilities",
-        "controller",
-        "rail",
-    }
+    assert {step.step for step in steps if step.holds} == {*NAMES[: NAMES.index(FIRST)]}
     runs = {step.run for step in steps if step.run}
     assert runs == {folder.name for folder in run_folders(tmp_path / "runs")}
     assert all(read_log(tmp_path / "runs" / run).state == "finished" for run in runs)

@@ -29,6 +29,7 @@ OTHERS = (
     "commission-proof",
     "commission-rail",
     "commission-robot",
+    "commission-self-stop",
     "commission-slide",
     "commission-tracker",
     "conformance",

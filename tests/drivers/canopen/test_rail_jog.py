@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -12,11 +13,13 @@ import pytest
 from drivers.canopen.rail import CanopenRail
 from fakes.canopen.rail_device import RailDevice
 from fakes.in_process import EventClock
+from hilcell.clock import WallClock
+from hilcell.ports import AfterLoss, DeviceError
 from tests.drivers.canopen.test_units_of_the_drive import PACE, SlowClock
 from tests.drivers.peers import refusal
 from tests.fakes.rail_bench import Bench, served
 
-MOTOR = {"motor_mm_s": 500.0, "motor_mm_s2": 2000.0}
+MOTOR: dict[str, Any] = {"motor_mm_s": 500.0, "motor_mm_s2": 2000.0}
 TRAPS: dict[str, RailDevice] = {
     "as stated": RailDevice(),
     "drive sign": RailDevice(counts_per_mm=-1000.0),
@@ -99,6 +102,46 @@ def test_a_stop_on_purpose_ends_a_jog() -> None:
         assert trace.stopped_by == "stop"
         assert 5.0 <= np.ptp(trace.drive_mm) < 20.0
         assert not rail.read().powered
+
+
+def pulled(rail: CanopenRail, bench: Bench) -> tuple[float, AfterLoss]:
+    """Pull the cable while the slide moves and plug it in again; return how far the slide went
+    without the PC, and how its drive stood then.
+    """
+    bench.faults.set("rail.unplugged", 3.0, after=300)
+    trace = rail.jog_until_lost(300.0, bound_mm=363.0, speed_mm_s=20.0)
+    assert trace.stopped_by == "lost"
+    assert 5.0 < np.ptp(trace.strip_mm) < 150.0
+    assert refusal(rail.close).code == "HC-R37"
+    while True:
+        with suppress(DeviceError):
+            state = rail.regain()
+            break
+    reading = rail.settle()
+    assert not reading.powered
+    assert rail.jog(-5.0, bound_mm=9.0, speed_mm_s=5.0).stopped_by == ""
+    return float(reading.strip_mm - trace.strip_mm[-1]), state
+
+
+@pytest.mark.waits
+@pytest.mark.parametrize("watchful", [True, False])
+def test_a_drive_that_does_not_notice_a_lost_pc_is_noticed(watchful: bool) -> None:
+    with connected(RailDevice(watchful=watchful)) as (rail, bench):
+        began_mm = bench.rail.slide_mm()
+        gone_mm, state = pulled(rail, bench)
+        assert bench.rail.slide_mm() - began_mm <= 301.0
+    assert state.stopped == watchful
+    assert ("heartbeat" if watchful else "operation enabled") in state.text
+    assert (gone_mm <= 24.0) == watchful
+
+
+@pytest.mark.wall
+def test_a_drive_without_its_pc_brakes_after_a_second() -> None:
+    with served(1.0) as bench, closing(CanopenRail(options_of(bench), WallClock(Event()))) as rail:
+        rail.connect()
+        gone_mm, state = pulled(rail, bench)
+        assert state.stopped
+        assert 15.0 <= gone_mm <= 20.0 * (rail.own_stop_s + 0.25) + 1.5
 
 
 @pytest.mark.parametrize(

@@ -1,17 +1,28 @@
 """The order of steps, and the questions before anything moves."""
 
 from pathlib import Path
+from queue import Queue
+from typing import NoReturn
 
 import pytest
 
 from hilcell.cell.devices import load_entry
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
+from hilcell.commission.dialogue import TypedDialogue
 from hilcell.commission.first_steps import drawing
+from hilcell.commission.page import CommissioningPage
 from hilcell.commission.record import Commissioned, StepRecord
 from hilcell.commission.sequence import NAMES, STEPS, Step
-from hilcell.commission.steps import check_proved, motions, steps_to_perform, unproved
+from hilcell.commission.steps import (
+    Commissioning,
+    check_proved,
+    motions,
+    steps_to_perform,
+    unproved,
+)
 from hilcell.errors import HilcellError
+from hilcell.journal.log import Log
 from hilcell.run.procedure import Procedure, announced
 
 
@@ -65,6 +76,40 @@ def test_a_cell_without_a_rail_has_no_steps_of_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize("step", [step for step in STEPS if step.procedure], ids=lambda s: s.name)
 def test_a_step_of_the_rail_is_a_run_of_the_rail(step: Step) -> None:
     assert step.of_rail == load_entry("procedures", step.procedure).of_rail
+
+
+LATER = NAMES.index("self-stop")
+
+
+def test_a_self_stop_that_is_put_off_hinders_nothing(tmp_path: Path) -> None:
+    cell = proved(tmp_path / "hall.toml", *NAMES[:LATER])
+    said: list[str] = []
+    lines: Queue[str | None] = Queue()
+    for line in ("perhaps", "not now"):
+        lines.put(line)
+
+    def run(procedure: str) -> NoReturn:
+        raise AssertionError(procedure)
+
+    work = Commissioning(cell, TypedDialogue(lines, said.append), "Ada", run)
+    assert work.perform(STEPS[LATER : LATER + 1])
+    assert f"hilcell commission {cell} --only self-stop" in said[-1]
+    assert [step.name for step in steps_to_perform(cell, "", "")] == NAMES[LATER:]
+    proved(cell, *NAMES[LATER + 1 :])
+    check_proved(cell)
+    assert unproved(cell) == []
+    assert CommissioningPage(cell).not_proved()[0].startswith("self-stop: ")
+    assert [step.name for step in steps_to_perform(cell, "", "self-stop")] == ["self-stop"]
+
+
+def test_a_self_stop_that_has_failed_hinders_and_cannot_be_put_off(tmp_path: Path) -> None:
+    cell = proved(tmp_path / "hall.toml", *NAMES)
+    failed = StepRecord(step="self-stop", ended="", operator="", holds=False, checks=[])
+    Commissioned.read(cell).add(failed, cell)
+    with pytest.raises(HilcellError, match="has not proved self-stop yet"):
+        check_proved(cell)
+    work = Commissioning(cell, TypedDialogue(Queue(), print), "Ada", lambda name: ("", Log([])))
+    assert not work._is_put_off(STEPS[LATER])
 
 
 @pytest.mark.parametrize("step", [step for step in STEPS if step.procedure], ids=lambda s: s.name)
