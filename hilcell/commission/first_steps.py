@@ -52,7 +52,7 @@ class WhichDevices:
             table: self._device(table, addresses.get(table, {}))
             for table in ("robot", "rail", "tracker")
         }
-        self._robot(found["robot"].identities)
+        self.kinematics(found["robot"].identities)
         self._rail()
         self._nests()
         self._text.write(self._path)
@@ -175,7 +175,7 @@ class WhichDevices:
         self._text.write(self._path)
         load_cell(str(self._path))
 
-    def _robot(self, identities: Sequence[Identity]) -> None:
+    def kinematics(self, identities: Sequence[Identity]) -> None:
         """Write the kinematics of the robot that its controller states, else of the one named."""
         if self._text.get("robot.joint") is not None:
             return

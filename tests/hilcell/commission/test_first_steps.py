@@ -63,6 +63,40 @@ def test_an_address_is_asked_for_only_where_none_is_listed(
     assert dialogue.questions == questions
 
 
+@pytest.mark.parametrize(
+    ("driver", "model", "typed", "name", "questions"),
+    [
+        ("kuka-eki", "#KR120R2700_2 C4 FLR", [], "KR 120 R2700-2", 0),
+        ("kuka-c3", "#KR150R2700 EXTRA C4 FLR", ["KR 210 R2700 extra"], "KR 210 R2700 extra", 1),
+        ("kuka-c3", "#KR150R2700 EXTRA C4 FLR", ["UR5", "9"], "KR 70 R2100", 1),
+        ("ur-rtde", None, ["UR5e"], "UR5e", 1),
+    ],
+)
+def test_the_kinematics_are_asked_for_only_where_the_controller_states_another_robot(
+    driver: str, model: str | None, typed: list[str], name: str, questions: int
+) -> None:
+    lines: Queue[str | None] = Queue()
+    for line in [*typed, None]:
+        lines.put(line)
+    text, dialogue = CellText(), TypedDialogue(lines, lambda _: None)
+    text.set("robot.driver", driver)
+    stated = [] if model is None else [Identity("Robot", model, "7", "host", False, "robot")]
+    WhichDevices(Path("hall.toml"), text, dialogue).kinematics(stated)
+    assert text.get("robot.name") == name
+    assert text.get("robot.speed_percent") == 10.0
+    assert dialogue.questions == questions
+
+
+def test_a_maker_whose_robots_are_not_known_needs_rows_in_the_file() -> None:
+    text = CellText()
+    text.set("robot.driver", "abb-egm")
+    work = WhichDevices(Path("hall.toml"), text, TypedDialogue(Queue(), lambda _: None))
+    with pytest.raises(HilcellError, match=r"write \[\[robot.joint\]\] into hall.toml"):
+        work.kinematics([])
+    text.set("robot.joint", [{"a_mm": 0.0}])
+    work.kinematics([])
+
+
 def test_an_address_where_nothing_answers_is_refused() -> None:
     lines: Queue[str | None] = Queue()
     lines.put("can1")
