@@ -7,6 +7,7 @@ else follows by small motions, each predicted from those before it.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from itertools import count
 
 import msgspec
@@ -29,11 +30,13 @@ from hilcell.ports import Array, HilcellError, NoReading
 from hilcell.run.cell_session import CellSession
 from hilcell.run.mover import StraightApproach
 from hilcell.run.procedure import Procedure, Result, Step
+from hilcell.run.prompts import WIDER_MM
 from procedures.plan import measure_s, rail_move_s, robot_moves_s
 from procedures.proved import prove, proved_result, proved_table
 
 NEST_TRIES = 40  # looks at reflectors that are none of those asked for
 SAME_MM = 20.0  # two readings nearer than this are of one nest
+NEAR_MM = 20.0  # around a place that is predicted
 AIM_S = 20.0  # that a person takes for a nest
 WIGGLE_DEG = 1.0
 SEARCH_MM = 100.0  # around a reflector that moved by a degree of an axis
@@ -280,7 +283,7 @@ class FindBase(_Proving):
             step = next((each for each in RAIL_MM if each > distance_mm), 0.0)
             moved_mm = np.array(found.xyz_mm) - np.array(at_start.xyz_mm)
             near_mm = np.array(at_start.xyz_mm) + moved_mm * step / distance_mm
-            radius_mm = 20.0
+            radius_mm = NEAR_MM
         session.rail_to(rail.position_mm)
         T_W_L = cell.tracker.pose.matrix()
         at_mm = apply(T_W_L, places_mm(seen))
@@ -307,7 +310,7 @@ class FindBase(_Proving):
         cell, poses_rad = session.cell, self._poses(session.cell, session.seed)
         arm, smr_mm = cell.robot.arm(), np.array(cell.robot.smr_mm)
         # The slide came back through its backlash.
-        again = session.found_place("pose 0", np.array(at_start.xyz_mm), SAMPLES, radius_mm=20.0)
+        again = session.found_place("pose 0", np.array(at_start.xyz_mm), SAMPLES, radius_mm=NEAR_MM)
         seen = [again]
         fit: NominalBase | None = None
         for number, pose_rad in enumerate(poses_rad[1:], start=1):
@@ -494,9 +497,9 @@ class FindSlide(_Proving):
         R_L_W = cell.tracker.pose.matrix()[:3, :3].T
         along = R_L_W @ np.array(cell.layout.rail_direction)
         near_mm = np.array(first.xyz_mm) + moved_mm * along
-        found = session.found_place("slide nest rides", near_mm, SAMPLES, radius_mm=20.0)
+        found = self._found(session, near_mm)
         session.rail_to(from_mm)
-        off_mm = float(np.linalg.norm(np.array(found.xyz_mm) - near_mm))
+        off_mm = float("nan") if found is None else float(np.linalg.norm(found.xyz_mm - near_mm))
         limit_mm = cell.layout.nest_tolerance_mm
         prove(
             session,
@@ -504,6 +507,19 @@ class FindSlide(_Proving):
             holds=off_mm <= limit_mm,
             found=f"{off_mm:.3f} mm from its predicted place after {moved_mm:.1f} mm",
             expected=f"<= {limit_mm:g} mm",
+        )
+
+    @staticmethod
+    def _found(session: CellSession, near_mm: Array) -> PlaceSeen | None:
+        """Return the nest near (3,), else by a wider search, else where a person shows it."""
+        key = "slide nest rides"
+        for radius_mm in (NEAR_MM, WIDER_MM):
+            with suppress(NoReading):
+                around = f"{key}, {radius_mm:g} mm around"
+                return session.found_place(around, near_mm, SAMPLES, radius_mm=radius_mm)
+        place = "the first nest on the slide, wherever it is now"
+        return session.aimed_place(
+            f"{key}, by hand", place, lambda _: "", SAMPLES, tries=NEST_TRIES
         )
 
 
