@@ -137,7 +137,12 @@ class CommissionScreen(Page):
         self._enter_defaults()
         super().begin()
         self.panel("title").display = False
+        self.app.call_later(self._focus_again)  # after that of every page
         self._read_progress()
+
+    def _focus_again(self) -> None:
+        self._mode = ()
+        self.show_again()
 
     def _enter_defaults(self) -> None:
         """Take cell and operator from the work, else from the form of a new run."""
@@ -405,7 +410,8 @@ class CommissionScreen(Page):
         self._begin_work(first=self._table("steps").key or STEPS[0].name)
 
     def fixed_keys(self) -> Sequence[tuple[str, str]]:
-        return self.fixed[:2]
+        starts = ("Enter", "start"), *self.fixed[:2]
+        return self.fixed[:2] if self._works is not None else starts
 
     def label(self, name: str) -> str:
         if name == "pause" and not self.application.live:

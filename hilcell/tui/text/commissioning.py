@@ -18,7 +18,7 @@ from hilcell.tui.text.run import NOT_E_STOP, badge, simulation_block
 from hilcell.tui.widgets import Column
 
 WORDS = {  # by status: the word, its tone, its shape
-    "running": ("running", "live", "moving"),
+    "running": ("running", "live", "fresh"),
     "proved": ("proved", "passed", "done"),
     "failed": ("DIFFERS", "fault", "lost"),
     "changed": ("edited", "ask", "warned"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -10,12 +11,14 @@ import pytest
 from textual.command import CommandList, CommandPalette
 from textual.pilot import Pilot
 
+from hilcell.commission.sequence import STEPS as STEPS_OF_CELL
 from hilcell.journal.calibration_facts import CalibrationFacts
 from hilcell.journal.index import RunRow
 from hilcell.model.outcome import Outcome
 from hilcell.model.plan import PlannedStep
 from hilcell.run.order import Order
 from hilcell.tui import keys, process
+from hilcell.tui.commissioning import Work
 from hilcell.tui.screens import start
 from hilcell.tui.screens.base import Confirm
 from hilcell.tui.screens.pages import DetailPage
@@ -243,3 +246,15 @@ async def form_of(
     seen["plan"] = capture(app)
     await press(pilot, "q")
     return seen
+
+
+def work_of(step: str) -> Work:
+    """Return a commissioning at a step, whose thread does nothing more."""
+
+    def start(folder: Path, arguments: list[str]) -> Callable[[], str]:
+        raise AssertionError(folder)
+
+    work = Work(Path("/runs/hall.toml"), "Ann", Path("/runs"), start, lambda: None)
+    work.begin(step, {each.name: each.title for each in STEPS_OF_CELL}[step], 4, 10)
+    work.motion = "it moves, in sequence:\n  the slide by 5 and 20 mm and back, at 5 mm/s"
+    return work

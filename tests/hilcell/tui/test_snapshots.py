@@ -14,8 +14,9 @@ from pathlib import Path
 import pytest
 from textual.command import CommandList, CommandPalette
 
+from hilcell.commission.sequence import STEPS
 from hilcell.tui.terminal import UNICODE
-from tests.hilcell.tui.all_screens import form_of, isolated, screens_of
+from tests.hilcell.tui.all_screens import form_of, isolated, screens_of, work_of
 from tests.hilcell.tui.recording_app import (
     SIZE,
     Press,
@@ -36,6 +37,7 @@ SWITCH = "HILCELL_SNAPSHOTS"
 WIDE, LOW, TINY = (160, 40), (60, 15), (20, 5)
 STATES = tuple(sample_runs())
 CROWDED = ("running", "suspended", "fault", "done")  # points, prompt, alarm, verdict
+COMMISSIONED = ("", "running", "paused", "suspended")  # a form, and the run of a step
 # A page that each state shows best, with the keys that open it.
 PAGES: dict[str, dict[str, tuple[str, ...]]] = {
     "running": {
@@ -114,6 +116,21 @@ async def test_the_form_and_its_plan_look_as_they_did(app: Stage, pilot: Press) 
     assert not problems, problems
 
 
+@pytest.mark.parametrize("state", COMMISSIONED)
+@on_screen(size=SIZE)
+async def test_commissioning_looks_as_it_did(
+    app: Stage, pilot: Press, state: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the first steps: a further one changes no picture."""
+    for room in ("commission.sequence", "tui.text.commissioning"):
+        monkeypatch.setattr(f"hilcell.{room}.STEPS", STEPS[:6])
+    if state:
+        app.commissioning = work_of("rail")
+    await press(pilot, "C")
+    problems = differences({f"commission-{state or 'form'}": text_at_rest(app)})
+    assert not problems, problems
+
+
 @on_screen("running", size=WIDE)
 async def test_the_map_stands_beside_the_points_where_no_column_needs_its_place(
     app: Stage, pilot: Press
@@ -150,6 +167,7 @@ def test_no_file_is_kept_of_a_screen_that_is_gone() -> None:
     seen = {f"{state}-run" for state in STATES} | {"new-form", "new-plan"}
     seen |= {f"{state}-{name}" for state, pages in PAGES.items() for name in pages}
     seen |= {f"wide-{state}-run" for state in CROWDED}
+    seen |= {f"commission-{state or 'form'}" for state in COMMISSIONED}
     assert {path.stem for path in FOLDER.iterdir()} == seen
 
 
