@@ -58,7 +58,7 @@ def test_a_hall_is_the_cell_that_its_right_file_describes(tmp_path: Path) -> Non
 def test_sheet_and_traps_of_the_command(tmp_path: Path) -> None:
     listed = command("sim", "--traps")
     assert listed.returncode == 0
-    assert len(listed.stdout.splitlines()) == 12
+    assert len(listed.stdout.splitlines()) == 13
     for words, said in (
         (("--trap", "drive-sing"), "drive-sign"),
         (("--sheet", tmp_path / "none"), "sheet"),
