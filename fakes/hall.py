@@ -17,9 +17,10 @@ import numpy as np
 from fakes.traps import coupled, with_sizes
 from fakes.truth.machine import cell_machine
 from fakes.truth.noise import KeyedNoise
-from fakes.truth.transforms import Array, rotation
+from fakes.truth.transforms import Array, frame, rotation
 from hilcell.cell.file import Cell
 from hilcell.cell.layout import Nest
+from hilcell.cell.surroundings import KeepOut
 from hilcell.cell.tables import Pose
 
 
@@ -30,6 +31,22 @@ class ClearZones(msgspec.Struct, frozen=True, kw_only=True):
     above_plate_mm: tuple[float, float]  # heights above the plate that carries the robot
     rail_bed_mm: tuple[float, float]  # width, and height above the floor
     plate_mm: tuple[float, float]  # along and across the rail
+
+
+class Box(msgspec.Struct, frozen=True, kw_only=True):
+    """A volume that the arm keeps out of, by tape: two opposite corners, fixed in {W}, or on the
+    slide about axis 1 on the plate.
+    """
+
+    name: str
+    on_slide: int
+    from_mm: tuple[float, float, float]
+    to_mm: tuple[float, float, float]
+
+    @property
+    def row(self) -> str:
+        ends = ",".join(f"{each:g}" for each in (*self.from_mm, *self.to_mm))
+        return f"{self.name},{self.on_slide},{ends}"
 
 
 class Sheet(msgspec.Struct, frozen=True, kw_only=True):
@@ -49,16 +66,21 @@ class Sheet(msgspec.Struct, frozen=True, kw_only=True):
     speed_mm_s: float
     acceleration_mm_s2: float
     clear: ClearZones
+    volumes: list[Box]
+    teach: list[str]  # volumes whose corners a reflector reaches, and no tape
 
     def files(self) -> dict[str, str]:
         """Return the sheet as files by name: to be read, to be computed with, and the drawing."""
         drawing = ["name,x_mm,y_mm,z_mm"]
         drawing += [f"{n.name},{n.x_mm},{n.y_mm},{n.z_mm}" for n in [*self.floor, *self.bar]]
+        ends = ",".join(f"{end}_{axis}_mm" for end in ("from", "to") for axis in "xyz")
+        volumes = [f"name,on_slide,{ends}", *(each.row for each in self.volumes)]
         encoded = msgspec.json.format(msgspec.json.encode(self)).decode()
         return {
             "hall.txt": self.text(),
             "hall.json": f"{encoded}\n",
             "nests.csv": "\n".join([*drawing, ""]),
+            "volumes.csv": "\n".join([*volumes, ""]),
         }
 
     def text(self) -> str:
@@ -96,6 +118,8 @@ class Sheet(msgspec.Struct, frozen=True, kw_only=True):
                 "Plate {:g} x {:g}, rail bed {:g} wide and {:g} high".format(
                     *zone.plate_mm, *zone.rail_bed_mm
                 ),
+                f"  by tape in volumes.csv: {', '.join(each.name for each in self.volumes)}",
+                f"  to be taught with a reflector: {', '.join(self.teach)}",
                 "",
             ]
         )
@@ -176,7 +200,17 @@ def _draw_places(cell: Cell, noise: KeyedNoise) -> Cell:
         layout, base=base, rail_direction=along_rail, floor=floor, bar=bar, slide=slide
     )
     seen = msgspec.structs.replace(cell.tracker, pose=tracker)
-    return msgspec.structs.replace(cell, layout=placed, tracker=seen)
+    around = [_turned(each, R, middle_mm) for each in cell.keep_out]
+    return msgspec.structs.replace(cell, layout=placed, tracker=seen, keep_out=around)
+
+
+def _turned(volume: KeepOut, R: Array, about_mm: Array) -> KeepOut:
+    """Turn what is fixed in {W}; the slide carries the others."""
+    if volume.frame == "slide":
+        return volume
+    T = frame(volume.centre)
+    centre = _pose(about_mm + R @ (T[:3, 3] - about_mm), math.degrees(math.atan2(R[1, 0], R[0, 0])))
+    return msgspec.structs.replace(volume, centre=centre)
 
 
 def _draw_robot(cell: Cell, rng: np.random.Generator) -> Cell:
@@ -215,6 +249,12 @@ def sheet_of(
     tape_mm = 5.0
     off_mm = KeyedNoise(seed, "hall").generator("tape").uniform(-tape_mm, tape_mm)
     stands_mm = cell_machine(cell).rail.power_on_mm or 0.0
+    clear = ClearZones(
+        around_axis_1_mm=3300.0,
+        above_plate_mm=(0.0, 4000.0),
+        rail_bed_mm=(1000.0, 150.0),
+        plate_mm=(900.0, 900.0),
+    )
     tables = {"rail": cell.rail, "robot": cell.robot, "tracker": cell.tracker}
     return Sheet(
         drivers={table: each.driver for table, each in tables.items()},
@@ -230,10 +270,43 @@ def sheet_of(
         room_mm=float(round(min(stands_mm, cell.rail.travel_max_mm - stands_mm) + off_mm)),
         speed_mm_s=cell.rail.speed_mm_s,
         acceleration_mm_s2=cell.rail.acceleration_mm_s2,
-        clear=ClearZones(
-            around_axis_1_mm=3300.0,
-            above_plate_mm=(0.0, 4000.0),
-            rail_bed_mm=(1000.0, 150.0),
-            plate_mm=(900.0, 900.0),
-        ),
+        clear=clear,
+        volumes=_by_tape(cell, clear, KeyedNoise(seed, "hall").generator("volumes")),
+        teach=[] if cell.volumes is None else cell.volumes.teach,
     )
+
+
+def _by_tape(cell: Cell, clear: ClearZones, rng: np.random.Generator) -> list[Box]:
+    """Return what a person has measured around the arm, each end within 5 mm or a stated reserve.
+
+    Nobody knows how the robot is turned on its plate: the bed is given wider than it is.
+    """
+    plate_mm, (bed_mm, bed_high_mm) = cell.layout.base.z_mm, clear.rail_bed_mm
+    wide_mm, long_mm = bed_mm / 2 + 200.0, cell.rail.travel_max_mm + bed_mm
+    length_mm, across_mm = (each / 2 for each in clear.plate_mm)
+    room_mm, deep_mm, thick_mm = 10_000.0, 1000.0, 100.0
+    stand = cell.tracker.pose
+    half_mm, top_mm = 400.0, stand.z_mm + 200.0
+    ends_mm = {
+        "floor": (0, (-room_mm, -room_mm, -deep_mm), (room_mm, room_mm, 0.0)),
+        "rail bed": (
+            1,
+            (-wide_mm, -long_mm, -plate_mm),
+            (wide_mm, long_mm, bed_high_mm - plate_mm),
+        ),
+        "plate": (1, (-length_mm, -across_mm, -thick_mm), (length_mm, across_mm, 0.0)),
+        "tracker": (
+            0,
+            (stand.x_mm - half_mm, stand.y_mm - half_mm, 0.0),
+            (stand.x_mm + half_mm, stand.y_mm + half_mm, top_mm),
+        ),
+    }
+
+    def taped(at_mm: tuple[float, ...]) -> tuple[float, float, float]:
+        x_mm, y_mm, z_mm = np.round(np.array(at_mm) + rng.uniform(-5.0, 5.0, 3)).tolist()
+        return x_mm, y_mm, z_mm
+
+    return [
+        Box(name=name, on_slide=on_slide, from_mm=taped(low_mm), to_mm=taped(high_mm))
+        for name, (on_slide, low_mm, high_mm) in ends_mm.items()
+    ]

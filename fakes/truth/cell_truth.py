@@ -11,7 +11,7 @@ A calibration identifies neither nominal {B} nor {R}, but `base_in_world`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,10 +26,11 @@ from fakes.truth.person import Person
 from fakes.truth.rail_truth import FloorTruth, RailTruth
 from fakes.truth.robot_motion import RobotMotion, RobotState
 from fakes.truth.tracker_truth import ReplayTracker, StreamTruth, TrackerTruth
-from fakes.truth.transforms import Array, rigid, rotation, transform_point
+from fakes.truth.transforms import Array, frame, rigid, rotation, transform_point
 from hilcell.cell.file import Cell, Nest
 from hilcell.cell.layout import Layout
 from hilcell.cell.settings import SettingsError
+from hilcell.cell.surroundings import KeepOut
 from hilcell.ports import HilcellError
 
 FLANGE = "flange"
@@ -77,8 +78,12 @@ class CellTruth:
         self.reflector_at = ""  # place of the one reflector carried by hand; "": out of sight
         self.tracker = TrackerTruth(cell, seed, faults, self.reflectors_in_world)
         self.streams = StreamTruth(seed, self.robot, self.tracker, self.path_in_world)
+        taught = [] if cell.volumes is None else cell.volumes.teach
+        self._corners = corners_in_world([each for each in cell.keep_out if each.name in taught])
+        self._in_hand = ""  # the corner at which the person holds a further reflector
         self._person = Person(
             ([*self._floor_nests], [FLANGE], [nest.name for nest in cell.layout.slide]),
+            [*self._corners],
             fixed.generator("person"),
             time,
         )
@@ -89,14 +94,17 @@ class CellTruth:
 
     def keep_beam(self) -> None:
         """Let the tracker aim by itself again."""
+        self._in_hand = ""
         self._person.leave_beam()
 
     def aimed_at(self) -> str | None:
         """Return, once, the nest that the person has put the beam on; None before."""
-        nest = self._person.put_down()
-        if nest is not None and self.cell.layout.by_hand:
-            self.reflector_at = nest  # it was carried there in the beam
-        return nest
+        place = self._person.put_down()
+        if place is not None:
+            self._in_hand = place if place in self._corners else ""
+            if self.cell.layout.by_hand and not self._in_hand:
+                self.reflector_at = place  # it was carried there in the beam
+        return place
 
     def lose_zero(self, lost_rad: float, axis: int = 1) -> None:
         """Shift the zero of an axis of the robot, 1 to 6, permanently."""
@@ -133,10 +141,11 @@ class CellTruth:
     def reflectors_in_world(self) -> dict[str, Array]:
         """Return the visible reflectors (3,) in {W}, by their place."""
         places = self.places_in_world()
-        if not self.cell.layout.by_hand:
-            return places
-        place = self.reflector_at
-        return {place: places[place]} if place else {}
+        if self.cell.layout.by_hand:
+            place = self.reflector_at
+            places = {place: places[place]} if place else {}
+        in_hand = self._in_hand
+        return places | {in_hand: self._corners[in_hand]} if in_hand else places
 
     def path_in_world(self, name: str, times_s: Array) -> Array:
         """Return the true positions (N, 3) of a reflector in {W} at times (N,) up to now.
@@ -210,6 +219,18 @@ class CellTruth:
                 along_mm = nests[other] - nests[one]
                 nests[other] = nests[one] + bar.length_mm * along_mm / np.linalg.norm(along_mm)
         return nests
+
+
+def corners_in_world(volumes: Sequence[KeepOut]) -> dict[str, Array]:
+    """Return the corners (3,) of boxes in {W} that a person touches, in their order: three above,
+    and one on the floor.
+    """
+    ends = np.array([[-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, -1]], dtype=float) / 2
+    return {
+        f"{volume.name} {n}": transform_point(frame(volume.centre), end * volume.size_mm)
+        for volume in volumes
+        for n, end in enumerate(ends, start=1)
+    }
 
 
 def _placed(nests: list[Nest], sigma_mm: float, rng: np.random.Generator) -> dict[str, Array]:

@@ -2,7 +2,8 @@
 
 A habit of the simulated world, of which no device and no wire knows: a tracker only notices a
 reflector in its beam. The nests of floor and bars come in an order drawn from the machine's seed,
-then the flange, then those of the slide, then all of them in the same order again.
+then the flange, then those of the slide, then corners of volumes with a reflector in the hand, the
+last one twice, then all of them in the same order again.
 """
 
 from __future__ import annotations
@@ -21,11 +22,16 @@ class Person:
     TAKES_S = (2.0, 6.0)  # to the next reflector
 
     def __init__(
-        self, groups: Sequence[Sequence[str]], rng: np.random.Generator, time: CellTime
+        self,
+        groups: Sequence[Sequence[str]],
+        corners: Sequence[str],
+        rng: np.random.Generator,
+        time: CellTime,
     ) -> None:
         self._rng, self._time = rng, time
         ordered = [rng.permutation(np.array(group, dtype=object)).tolist() for group in groups]
-        self._nests = cycle([nest for group in ordered for nest in group])
+        nests: list[str] = [nest for group in ordered for nest in group]
+        self._places = cycle([*nests, *corners, *corners[-1:]])
         self._arrives_s: float | None = None
 
     def take_beam(self) -> None:
@@ -37,8 +43,8 @@ class Person:
         self._arrives_s = None
 
     def put_down(self) -> str | None:
-        """Return, once, the nest that the beam was put on; None before, and without a beam."""
+        """Return, once, the place that the beam was put on; None before, and without a beam."""
         if self._arrives_s is None or self._time.now_s() < self._arrives_s:
             return None
         self._arrives_s = None
-        return next(self._nests)
+        return next(self._places)

@@ -423,6 +423,17 @@ class ValidationTable(Frozen, frozen=True, kw_only=True):
     max_tolerance_deg: Turn | None = None
 
 
+class VolumesTable(Frozen, frozen=True, kw_only=True):
+    """Where keep-out volumes come from: a list of boxes, and names of those to be taught."""
+
+    file: str = ""
+    teach: list[Name] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        if len(set(self.teach)) != len(self.teach):
+            raise ValueError(f"teach: names must differ, got {', '.join(self.teach)}")
+
+
 class CampaignTable(Frozen, frozen=True, kw_only=True):
     """A list of poses, with reflectors and their expected positions."""
 
@@ -470,6 +481,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
     touch: TouchTable = field(default_factory=TouchTable)
     settle: SettleTable = field(default_factory=SettleTable)
     keep_out: list[KeepOut] = field(default_factory=list)
+    volumes: VolumesTable | None = None
     tool: list[ToolTable] = field(default_factory=list)
     uncertainty: UncertaintyTable = field(default_factory=UncertaintyTable)
     certificate: CertificateTable = field(default_factory=CertificateTable)
@@ -483,8 +495,9 @@ class Cell(Frozen, frozen=True, kw_only=True):
     # Work done with the cell, its speed, its evaluation and descriptions: no effect on a measured
     # point.
     OUTSIDE_DIGEST = (
-        "simulation", "plan", "sweeps", "keep_out", "uncertainty", "touch", "recheck", "targets",
-        "certificate", "iso9283", "notify", "tool", "rail.homing_mm_s", "rail.standstill_dwell_s",
+        "simulation", "plan", "sweeps", "keep_out", "volumes", "uncertainty", "touch", "recheck",
+        "targets", "certificate", "iso9283", "notify", "tool",
+        "rail.homing_mm_s", "rail.standstill_dwell_s",
         "robot.ramp_s", "robot.first_pass_percent", "robot.first_pass_pause", "robot.envelope",
         "robot.rp_mm", "tracker.pointing_s", "tracker.reading_s", "layout.reflectors",
         "layout.max_tool_std_mm", "layout.base_tolerance_mm",
@@ -509,7 +522,9 @@ class Cell(Frozen, frozen=True, kw_only=True):
             self._bad_others,
             self._bad_survey,
             self._bad_reflectors,
-            lambda: keep_out_problems(self.keep_out, self.robot.envelope),
+            lambda: keep_out_problems(
+                self.keep_out, self.robot.envelope, coming=self.volumes is not None
+            ),
             lambda: tool_problems(self.tool, self.robot.options.get("tool")),
         )
 
@@ -625,9 +640,9 @@ class Cell(Frozen, frozen=True, kw_only=True):
 
     @cached_property
     def surroundings(self) -> Surroundings | None:
-        """The volumes that the arm must avoid; None without an envelope."""
+        """The volumes that the arm must avoid; None without them."""
         envelope = self.robot.envelope
-        if envelope is None:
+        if envelope is None or not self.keep_out:
             return None
         return Surroundings(self.robot.arm(), envelope, self.layout, self.keep_out)
 

@@ -107,6 +107,11 @@ class Surroundings:
         """Judge motions between postures (N, 7), `posture`; ``more_mm`` beyond the clearance."""
         return self._body.prove(start, end, self.wanted_mm + more_mm)
 
+    def least_mm(self, postures: Array) -> dict[str, float]:
+        """Return each volume's least clearance from postures (N, 7)."""
+        found_mm = self._body.clearances_mm(postures, np.full((len(postures), 1), np.inf))
+        return dict(zip(self._names, found_mm.min(axis=(0, 1)).tolist(), strict=True))
+
     def apart_mm(self, one: Array, other: Array) -> float:
         """Return the largest displacement of the arm's points between two postures (7,)."""
         return float(self._body.travel_mm(one[None], other[None]).max())
@@ -118,8 +123,12 @@ class Surroundings:
         return Nearest(found.clearance_mm, link, self._names[found.box], found.share)
 
 
-def keep_out_problems(keep_out: Sequence[KeepOut], envelope: EnvelopeTable | None) -> Iterator[str]:
-    """Yield problems of keep-out volumes; they need the arm's shape, and it needs them."""
+def keep_out_problems(
+    keep_out: Sequence[KeepOut], envelope: EnvelopeTable | None, *, coming: bool = False
+) -> Iterator[str]:
+    """Yield problems of keep-out volumes; they need the arm's shape, and it needs them, also where
+    they are ``coming`` later.
+    """
     names = [volume.name for volume in keep_out]
     for name in sorted({name for name in names if names.count(name) > 1}):
         yield f"keep_out: names must differ, got {name} twice"
@@ -128,7 +137,7 @@ def keep_out_problems(keep_out: Sequence[KeepOut], envelope: EnvelopeTable | Non
         yield f"keep_out: {len(names)} volumes, expected at most {most_volumes}"
     if names and envelope is None:
         yield "keep_out: the arm's shape is unknown; state robot.envelope.radius_mm"
-    if envelope is not None and not names:
+    if envelope is not None and not names and not coming:
         yield "robot: envelope: no keep_out; state at least the floor"
 
 

@@ -307,8 +307,8 @@ class Sim(Signature):
     faults: str = option("TOML file of faults to inject (docs/training.md)", "FILE", default="")
     train: bool = option("training: inject faults from a menu", default=False)
     sheet: Path | None = option(
-        "write the hall's sheet: text, JSON and the drawing of the nests (default: hall, of cell "
-        "unknown)",
+        "write the hall's sheet: text, JSON, the drawing of the nests, the volumes (default: hall, "
+        "of cell unknown)",
         "FOLDER",
         parse_folder,
         default=None,

@@ -8,6 +8,7 @@ nests one inline table a line.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -74,13 +75,16 @@ class CellText:
         """
         *tables, key = path.split(".")
         table: Any = self._document
-        for name in tables:
+        for name, following in pairwise([*tables, key]):
             if isinstance(table, AoT):
                 table = table[int(name)]
                 continue
             if name not in table:
-                table[name] = tomlkit.table()
+                table[name] = tomlkit.aot() if following.isdecimal() else tomlkit.table()
             table = table[name]
+        if isinstance(table, AoT):
+            _set_row(table, int(key), value, comment)
+            return
         if key in table and table[key].unwrap() == value:
             return
         item = _item(value, inline=bool(tables) and tables[0] in IN_ONE_LINE)
@@ -89,6 +93,16 @@ class CellText:
         elif comment and not isinstance(item, Table):
             item.comment(comment)
         table[key] = item
+
+
+def _set_row(rows: AoT, number: int, values: Any, comment: str) -> None:
+    """Write the values of one table of an array, which may be its next one."""
+    if number == len(rows):
+        rows.append(_flat(values).comment(comment))
+        return
+    for key, value in values.items():
+        if key not in rows[number] or rows[number][key].unwrap() != value:
+            rows[number][key] = _item(value, inline=True)
 
 
 def _item(value: object, *, inline: bool) -> Item:

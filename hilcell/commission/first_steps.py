@@ -16,9 +16,10 @@ import numpy as np
 
 from hilcell import ports
 from hilcell.cell.devices import GROUPS, driver_options, installed, load_entry, start_simulation
-from hilcell.cell.file import NO_RAIL, Cell, load_cell
+from hilcell.cell.file import NO_RAIL, Cell, VolumesTable, load_cell
 from hilcell.cell.layout import Nest
-from hilcell.cell.settings import SettingsError, check_values, read_file
+from hilcell.cell.settings import SettingsError, check_values, convert, read_file
+from hilcell.cell.surroundings import LEAST_MM, LINKS
 from hilcell.clock import WallClock
 from hilcell.commission.cell_text import CellText
 from hilcell.commission.dialogue import Dialogue, number, word
@@ -26,12 +27,13 @@ from hilcell.commission.draft import write_new, write_places, write_robot, write
 from hilcell.commission.known_robots import known_robots, stated_robot
 from hilcell.commission.record import Check
 from hilcell.compensation.targets import read_named_rows
+from hilcell.compensation.volumes import HEADER, read_volumes
 from hilcell.decoding import Json
 from hilcell.errors import HilcellError
 from hilcell.identity import Identity
 
 DRAWING_MM = 1e5
-REAL = "real"
+REAL, NONE = "real", "none"
 ELSEWHERE = "other"
 ADDRESSES = {"host": "192.168.10.20", "channel": "can0"}  # options, each with an example
 Addresses = Mapping[str, Mapping[str, object]]
@@ -55,6 +57,7 @@ class WhichDevices:
         self.kinematics(found["robot"].identities)
         self._rail()
         self._nests()
+        self._volumes()
         self._text.write(self._path)
         self._controller(load_cell(str(self._path)), addresses)
         return [
@@ -232,6 +235,45 @@ class WhichDevices:
             )
             write_places(self._text, count)
 
+    def _volumes(self) -> None:
+        """Ask where the keep-out volumes come from, and for the arm's shape among them."""
+        if self._text.get("keep_out") is not None or self._text.get("volumes") is not None:
+            return
+        file = self._dialogue.ask(
+            f"keep-out volumes: a CSV file of boxes ({','.join(HEADER)}; on_slide: 1 in nominal "
+            f"{{B}}, 0 in {{W}}), or {NONE}",
+            volume_list,
+            NONE,
+        )
+        names = self._dialogue.ask(
+            f"keep-out volumes whose corners you will teach with a reflector: names, or {NONE}",
+            taught_names,
+            NONE,
+        )
+        if not file and not names:
+            return
+        for key, value in (("file", file), ("teach", names)):
+            if value:
+                self._text.set(f"volumes.{key}", value)
+        if self._text.get("robot.envelope") is None:
+            self._shape()
+
+    def _shape(self) -> None:
+        known = known_robots(str(self._text.get("robot.driver"))).get(
+            str(self._text.get("robot.name"))
+        )
+        shape = None if known is None else known.robot.envelope
+        radius_mm = self._dialogue.ask(
+            "robot: radius of links 1 to 6 about the lines of their joints, with motors, hoses and "
+            "tool, mm",
+            radii,
+            "" if shape is None else " ".join(f"{each:g}" for each in shape.radius_mm),
+        )
+        self._text.set("robot.envelope.radius_mm", radius_mm, "of links 1 to 6")
+        if shape is not None:
+            rows = msgspec.to_builtins(shape.capsule)
+            self._text.set("robot.envelope.capsule", rows, "nominal parts beside their links")
+
     def _once(
         self, path: str, question: str, parse: Callable[[str], object], default: str = ""
     ) -> None:
@@ -249,6 +291,36 @@ def options_of(kind: type) -> type[msgspec.Struct]:
 def option_names(kind: type) -> set[str]:
     """Return the names of a driver's options."""
     return {*options_of(kind).__struct_fields__}
+
+
+def volume_list(answer: str) -> str:
+    """Return the absolute path of a list of volumes, "" for none; raises `ValueError`."""
+    if answer == NONE:
+        return ""
+    path = Path(answer).resolve()
+    try:
+        read_volumes(path)
+    except SettingsError as error:
+        raise ValueError(str(error)) from error
+    return str(path)
+
+
+def taught_names(answer: str) -> list[str]:
+    """Return the names of volumes, none for "none"; raises `ValueError`."""
+    names = [] if answer == NONE else [name.strip() for name in answer.split(",")]
+    try:
+        return convert({"teach": names}, VolumesTable, "names").teach
+    except SettingsError as error:
+        raise ValueError(str(error)) from error
+
+
+def radii(answer: str) -> list[float]:
+    """Return six radii, mm; raises `ValueError`."""
+    parse = number(LEAST_MM, DRAWING_MM, "mm")
+    values = [parse(each) for each in answer.split()]
+    if len(values) != LINKS:
+        raise ValueError(f"expected {LINKS} radii with blanks between, got {len(values)}")
+    return values
 
 
 def drawing(answer: str) -> list[Json]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
+from hilcell.cell.file import Cell
 from hilcell.commission.cell_text import CellText
 
 ABILITIES = "abilities"
@@ -12,16 +14,31 @@ LACKS = ("has not", "read only")  # states of an ability that a person should se
 
 class Step(NamedTuple):
     """One step; ``procedure``: of its run, "" for one without a run. ``confirms``: a fact that only
-    a person sees, asked before the run. ``of_rail``: left out where the cell has no rail.
+    a person sees, asked before the run; "" for none. ``of_rail``: left out without a rail.
     ``pulls``: the device whose cable a person pulls meanwhile; such a step may be put off.
     """
 
     name: str
     title: str
     procedure: str = ""
-    confirms: str = ""
+    confirms: Callable[[Cell], str] = lambda cell: ""
     of_rail: bool = False
     pulls: str = ""
+
+
+def stands_clear(cell: Cell) -> str:
+    along = "everything along the whole rail" if cell.has_rail else "everything"
+    return f"the present pose of the robot becomes its safe pose; is it clear of {along}?"
+
+
+def needs_no_volumes(cell: Cell) -> str:
+    """Return the question to who has given no volumes."""
+    if cell.keep_out or cell.volumes is not None:
+        return ""
+    return (
+        "no keep-out volumes: runs keep to the grid's cube, no axis is swept, and the ripple of "
+        "the gears stays in the error after correction; is that what you want?"
+    )
 
 
 STEPS = (
@@ -31,8 +48,7 @@ STEPS = (
         "controller",
         "settings of the robot's controller, the safe pose",
         "commission-controller",
-        "the present pose of the robot becomes its safe pose; is it clear of everything, along the "
-        "whole rail if there is one?",
+        stands_clear,
     ),
     Step(
         "rail",
@@ -52,6 +68,12 @@ STEPS = (
     Step("base", "the robot's base and the reflector on its flange", "commission-base"),
     Step("slide", "the nests on the slide", "commission-slide", of_rail=True),
     Step("stations", "the stations, by the strip", "commission-stations", of_rail=True),
+    Step(
+        "volumes",
+        "the volumes that the arm keeps out of, by a list or by their corners",
+        "commission-volumes",
+        needs_no_volumes,
+    ),
     Step(
         "proof",
         "a first pass, a correction that must go the right way, a stop",

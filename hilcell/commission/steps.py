@@ -122,7 +122,7 @@ class Commissioning:
         cell = load_cell(str(self.path))
         self.dialogue.real = cell.simulation is None
         moves = motions(cell, load_entry("procedures", step.procedure))
-        for question in filter(None, (step.confirms, moves)):
+        for question in filter(None, (step.confirms(cell), moves)):
             if not self.dialogue.agree(question):
                 raise HilcellError(
                     f"step {step.name} was not agreed to; nothing moved", code="HC-C40"

@@ -256,9 +256,17 @@ class Meter(Mover):
     # -- places that are not known yet --------------------------------------------------------
 
     def aimed_place(
-        self, key: str, place: str, refusal: Callable[[Array], str], samples: int, *, tries: int
+        self,
+        key: str,
+        place: str,
+        refusal: Callable[[Array], str],
+        samples: int,
+        *,
+        tries: int,
+        first: str = "",
     ) -> PlaceSeen | None:
         """Prompt a person to put the beam on ``place``, and measure it there, once in a run.
+        ``first`` is done, and answered, before: a reflector is carried there, and rests.
 
         ``refusal`` takes a position (3,), tracker's frame, and returns why it is not that place, ""
         where it may be. After ``tries`` refused reflectors None. Slide and robot are at rest.
@@ -269,6 +277,8 @@ class Meter(Mover):
         tracker = aiming_tracker(self.devices.tracker)
         reflector = self.cell.tracker.reflector
         tracker.release_beam()
+        if first:
+            self.pause(first)
         refused: list[str] = []  # the last is "" once the place is found
 
         def verify() -> Verification:

@@ -11,14 +11,14 @@ import pytest
 from hilcell.cell.file import Cell, load_cell
 from hilcell.commission.record import Commissioned
 from hilcell.commission.sequence import STEPS
-from tests.whole.bench import HILCELL, hilcell, sim_command
+from tests.whole.bench import HILCELL, end_of, hilcell, sim_command
 
 FREE_PORTS = "rail=0,robot=0,tracker=0,control=0"
 MOST_QUESTIONS = 60
 pytestmark = pytest.mark.process
 
 
-def answers(hall: dict[str, Any], drawing: Path) -> str:
+def answers(hall: dict[str, Any], drawing: Path, teach: str = "none") -> str:
     """Return the lines that a person types, by the sheet of the hall."""
     lines = [
         "HC-7",
@@ -33,6 +33,9 @@ def answers(hall: dict[str, Any], drawing: Path) -> str:
         f"{hall['acceleration_mm_s2']}",
         f"{drawing}",
         f"{len(hall['slide'])}",
+        f"{drawing.parent / 'volumes.csv'}",
+        teach,
+        "",  # the arm's shape
         *["y"] * 30,
     ]
     return "\n".join(lines) + "\n"
@@ -88,8 +91,13 @@ def test_an_unknown_hall_is_commissioned_calibrated_and_prepared(tmp_path: Path)
         assert found_mm < 2.0
         assert np.degrees(np.abs(np.array(truth["T_W_B"])[:3, :3] - base[:3, :3])).max() < 0.5
 
-        ran = hilcell("run", "--cell", file, *runs, "--name", "first")
+        ran = hilcell("run", "--cell", file, *runs, "--name", "first", "--json")
         assert ran.returncode == 0, ran.stderr[-3000:]
+        result = end_of(ran)["result"]
+        assert [axis["axis"] for axis in result["sweeps"]["axes"] if axis["used"]] == [1, 2, 3, 5]
+        assert result["validation"]["S1"]["chosen"]["mean"] < 0.05
+        checked = hilcell("show", "first", "--check", *runs)
+        assert checked.returncode == 0, checked.stdout
         drawing = holes(cell, tmp_path / "holes.csv")
         prepared = hilcell(
             "prepare", drawing, "--cell", file, "--calibration", "first",
@@ -147,10 +155,12 @@ def test_a_robot_on_the_floor_is_commissioned_and_calibrated(tmp_path: Path) -> 
             "",
             "",
             str(drawing),
+            "none",
+            "none",
         ]
         done = commission(file, "\n".join([*typed, *["y"] * 30, ""]))
         assert done.returncode == 0, done.stderr[-3000:]
-        assert "step 7 of 7, proof" in done.stderr
+        assert "step 8 of 8, proof" in done.stderr
         assert "slide" not in file.read_text()
         assert "the slide" not in done.stderr
         ran = hilcell("run", "--cell", file, "--runs", tmp_path / "runs")

@@ -44,6 +44,7 @@ SECTIONS: dict[str, type[msgspec.Struct]] = {
     "[recheck]": file.RecheckTable,
     "[iso9283]": Iso9283Table,
     "[targets]": file.TargetsTable,
+    "[volumes]": cell.VolumesTable,
     "[campaign]": cell.CampaignTable,
     "[simulation]": cell.SimulationTable,
 }

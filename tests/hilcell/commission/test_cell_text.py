@@ -50,6 +50,20 @@ def test_one_row_of_an_array_of_tables_is_changed_by_its_number() -> None:
     assert "# stop" in text.text
 
 
+def test_rows_are_added_and_those_of_a_person_keep_their_comments() -> None:
+    text = CellText("[[keep_out]]\nname = 'floor'  # swept daily\n\n[rail]\nspeed_mm_s = 100.0\n")
+    rows = [{"name": "floor", "frame": "world"}, {"name": "fence", "centre": {"x_mm": 1.0}}]
+    for number_of, row in enumerate(rows):
+        text.set(f"keep_out.{number_of}", row, "by a list")
+    assert text.get("keep_out") == rows
+    assert CellText(text.text).values == text.values
+    assert "# swept daily" in text.text
+    assert "[[keep_out]] # by a list" in text.text
+    empty = CellText()
+    empty.set("keep_out.0", rows[0])
+    assert empty.values == {"keep_out": rows[:1]}
+
+
 def test_a_text_that_is_no_toml_is_refused() -> None:
     with pytest.raises(SettingsError, match="not valid TOML"):
         CellText("name = ")

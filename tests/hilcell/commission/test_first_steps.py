@@ -10,7 +10,7 @@ import pytest
 from hilcell.cell.settings import SettingsError
 from hilcell.commission.cell_text import CellText
 from hilcell.commission.dialogue import TypedDialogue
-from hilcell.commission.first_steps import WhichDevices
+from hilcell.commission.first_steps import WhichDevices, radii, taught_names, volume_list
 from hilcell.errors import HilcellError
 from hilcell.ports import Candidate, Identity
 
@@ -120,3 +120,20 @@ def test_an_impossible_port_is_refused_by_its_key(driver: str, option: str, tmp_
         WhichDevices(cell, CellText.read(cell), dialogue).perform()
     assert refused.value.source == "robot.options"
     assert refused.value.problems[0].startswith(f"{option.partition(' ')[0]}: ")
+
+
+def test_what_a_person_types_of_volumes() -> None:
+    assert volume_list("none") == ""
+    assert taught_names("none") == []
+    assert taught_names("fence, press 2") == ["fence", "press 2"]
+    assert radii("300 220 250 180 150 120") == [300.0, 220.0, 250.0, 180.0, 150.0, 120.0]
+    for parse, answer, why in (
+        (taught_names, "fence,", "a letter or digit"),
+        (taught_names, "fence, fence", "names must differ"),
+        (radii, "0.3 0.22 0.25 0.18 0.15 0.12", "expected 5 .. 100000 mm, got 0.3"),
+        (radii, "300 220 250", "expected 6 radii"),
+        (radii, "300 220 nan 180 150 120", "got nan"),
+        (volume_list, "nowhere.csv", "nowhere.csv"),
+    ):
+        with pytest.raises(ValueError, match=why):
+            parse(answer)
