@@ -35,11 +35,10 @@ class Progress:
             name: last.checks for name in names if (last := record.last(name))
         }
         self.simulated = text.get("simulation") is not None
-
-    @property
-    def next_step(self) -> str:
-        """Return the first step that is not proved; "" where all are."""
-        return next((name for name, status in self.statuses.items() if status != "proved"), "")
+        self.standing = standing(path)
+        self.next_step = ""  # that a start performs; "" where nothing is left
+        if record.unproved(text):
+            self.next_step = steps_to_perform(path, "", "")[0].name
 
 
 class Work(Dialogue):
@@ -70,8 +69,8 @@ class Work(Dialogue):
             steps = steps_to_perform(self.path, first, only)
             self.progress = Progress(self.path)
             Commissioning(self.path, self, self.operator, self._run).perform(steps)
-            self.outcome = f"{standing(self.path)}; {self.questions} questions"
             self.progress = Progress(self.path)
+            self.outcome = f"{self.questions} questions"
         except HilcellError as error:
             self.outcome = str(error)
         finally:

@@ -22,6 +22,7 @@ from hilcell.tui.keys import load_keys
 from hilcell.tui.screens.base import Options
 from hilcell.tui.terminal import UNICODE
 from tests.whole.bench import HILCELL, LOOK_S, SMALL, Simulation, hilcell, sets, simulation
+from tests.whole.commissioner import begun, commissioning, hall, perform, shown
 from tests.whole.golden import GoldenRuns
 
 ROOT = Path(__file__).parents[2]
@@ -36,6 +37,7 @@ PICTURES = (
     "screen-plots",
     "screen-plots-light",
     "screen-wide",
+    "screen-commission",
 )
 BY_HAND = {"layout.reflectors": "by_hand"}
 SIZE = {} if WANTED else SMALL
@@ -53,11 +55,6 @@ def keep(app: HilcellApp, name: str) -> None:
     assert "</svg>" in picture
     if WANTED:
         (ROOT / WANTED / f"{name}.svg").write_text(picture, encoding="utf-8")
-
-
-def shown(app: HilcellApp) -> str:
-    strips = app.screen._compositor.render_strips()
-    return "\n".join("".join(segment.text for segment in strip) for strip in strips)
 
 
 async def until(pilot: Pilot[int], words: str) -> None:
@@ -122,6 +119,8 @@ def test_pictures_are_drawn(tmp_path: Path, golden: GoldenRuns) -> None:
         golden["small"].copied_to(tmp_path / "done")
     asyncio.run(a_finished_run(tmp_path / "done"))
     asyncio.run(a_plan(tmp_path / "new"))
+    with hall(tmp_path / "new", 40) as lines:
+        asyncio.run(a_commissioning(tmp_path / "new", lines))
 
 
 async def a_live_run(tmp_path: Path) -> None:
@@ -179,6 +178,17 @@ async def a_plan(tmp_path: Path) -> None:
         await pilot.press("enter")
         await until(pilot, "The robot and the rail will move")
         keep(app_of(pilot), "screen-plan")
+
+
+async def a_commissioning(tmp_path: Path, lines: list[str]) -> None:
+    async with commissioning(tmp_path) as pilot:
+        work = await begun(pilot)
+        await perform(pilot, work, lines, "rail")
+        await until(pilot, "somebody at the E-stop")
+        keep(app_of(pilot), "screen-commission")
+        await pilot.press("escape")
+        while work.at_work:
+            await pilot.pause(LOOK_S)
 
 
 def test_the_docs_show_every_picture() -> None:

@@ -344,7 +344,7 @@ class CommissionScreen(Page):
         elif self.application.open_runs.live:
             self.show_notice(ONE_AT_A_TIME)
         elif not (first or only) and self._progress is not None and not self._progress.next_step:
-            self.show_notice("every step is proved; repeat one where that is in doubt")
+            self.show_notice("nothing is left to prove; repeat a step where it is in doubt")
         else:
             operator = clean(self.query_one("#who_field", Input).value)
             self.application.begin_commissioning(Path(cell), operator, first, only)

@@ -89,10 +89,10 @@ class StartScreen(BaseScreen):
     )
     WATCHED = ("yes, I am here", "no, unattended")
     SPEEDS = ("max", "100", "10", "1")
-    VIEWS = ("history", "theme", "help", "quit")  # in the footer's second row
+    VIEWS = ("history", "commission", "theme", "help", "quit")  # in the footer's second row
     QUIET_S = 0.4  # without a change, before the plan is computed
 
-    footer = ("help", "history", "theme", "quit")
+    footer = ("help", "history", "commission", "theme", "quit")
     fixed = in_text_box = (("Enter", "start"), ("Tab", "next field"), ("▲▼", "choose"))
     HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (77, "-planned")]  # noqa: RUF012 - as Textual has it
     BINDINGS: ClassVar[list[BindingType]] = [

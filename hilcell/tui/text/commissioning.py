@@ -141,7 +141,7 @@ def outcome_lines(outcome: str, progress: Progress | None) -> Lines:
     if outcome:
         parts.append(Content.styled(harmless(outcome), "bold $ask"))
     if progress is not None:
-        step = progress.next_step
-        words = f"Enter goes on with step {step}" if step else "every step is proved"
-        parts.append(Content.styled(words, "bold"))
+        parts.append(Content.styled(harmless(progress.standing), "bold"))
+        if progress.next_step:
+            parts.append(Content.styled(f"Enter goes on with step {progress.next_step}", "bold"))
     return Stack(*parts)
