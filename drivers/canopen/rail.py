@@ -144,6 +144,7 @@ class CanopenRail:
         self._ended_s: float | None = None  # when the end of the last motion was detected
         self._held_by_sdo = 0
         self._lost_s: float | None = None  # since when a moving slide is without a link
+        self._after_loss: AfterLoss | None = None
         self._nodes: tuple[Node, ...] = ()
         self._feed: StripReader | None = None  # of a strip that is not on the bus
         if options.strip is not None:
@@ -265,7 +266,7 @@ class CanopenRail:
             except DeviceError as error:
                 if error.code not in LOST or not jog.polls:
                     raise
-            self._lost_s = time.monotonic()
+            self._lost_s, self._after_loss = time.monotonic(), None
             self._close_link()  # with it the heartbeat ends, and no stop is sent
             return _trace(jog, "lost")
 
@@ -279,11 +280,14 @@ class CanopenRail:
         link = CanLink(open_bus(o.interface, o.channel, o.bitrate), self._clock)
         try:
             drive = open_channel(link, o.drive_node, "drive.eds", check)
-            state = state_after_loss(drive, self._clock, self._limits)
+            # A connect that fails half-way has reset the drive's error: the first reading counts.
+            self._after_loss = self._after_loss or state_after_loss(
+                drive, self._clock, self._limits
+            )
         finally:
             link.close()
         self.connect()
-        return state
+        return self._after_loss
 
     def rescaled(self, drive: float, strip: float, speed: float) -> dict[str, object]:
         """As `hilcell.ports.Jogs`. A unit of speed that is no power of ten of counts/s becomes rpm

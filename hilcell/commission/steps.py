@@ -55,7 +55,7 @@ class Commissioning:
                 if step not in of_cell:
                     continue
                 self.dialogue.begin(step.name, step.title, of_cell.index(step) + 1, len(of_cell))
-                if not self._is_put_off(step) and not self._perform(step):
+                if not self._perform(step):
                     return False
             return True
         finally:
@@ -63,6 +63,8 @@ class Commissioning:
 
     def _perform(self, step: Step) -> bool:
         began, asked = _now(), self.dialogue.questions
+        if self._is_put_off(step):
+            return True
         self._agree(step)
         for _ in range(REPEATS):
             record = msgspec.structs.replace(
