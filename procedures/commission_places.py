@@ -38,7 +38,7 @@ NEST_TRIES = 40  # looks at reflectors that are none of those asked for
 SAME_MM = 20.0  # two readings nearer than this are of one nest
 NEAR_MM = 20.0  # around a place that is predicted
 AIM_S = 20.0  # that a person takes for a nest
-WIGGLE_DEG = 1.0
+WIGGLE_DEG, WIGGLE_PERCENT = 1.0, 1.0
 SEARCH_MM = 100.0  # around a reflector that moved by a degree of an axis
 SAMPLES = 5
 
@@ -190,8 +190,9 @@ class FindBase(_Proving):
     name = "find-base"
     needs = "the tracker's pose, a reflector on the flange, the robot at its safe pose"
     moves = (
-        "each axis by 1 and 8 deg, then all axes by at most "
-        f"{MORE_DEG:g} deg around the safe pose, at {BASE_PERCENT:g} %"
+        f"axis 1 by {WIGGLE_DEG:g} deg and back at {WIGGLE_PERCENT:g} %; each axis by 1 and 8 deg, "
+        f"then all axes by at most {MORE_DEG:g} deg around the safe pose, and back to it, at "
+        f"{BASE_PERCENT:g} %"
     )
     measures = "the reflector on the flange after each motion"
     yields = "the rail's direction, the base in {W}, the reflector on the flange"
@@ -250,7 +251,7 @@ class FindBase(_Proving):
             moved_rad[0] += np.radians(WIGGLE_DEG)
             jogged(session, moved_rad, safe_rad, f"flange {number} turned")
             stayed = self._is_at(session, f"flange {number} stayed", np.array(place.xyz_mm))
-            session.park_robot()
+            session.parked(WIGGLE_PERCENT)
             if not stayed:
                 return place
             others.append(place)
@@ -327,7 +328,7 @@ class FindBase(_Proving):
                 fit = nominal_base(arm, *poses_of(seen), NOISE_MM, smr_mm, U_NEAR_MM)
                 if not fit.rms_mm <= FIT_MM and not self._judge_axes(session, fit):
                     return None
-        session.parked()
+        session.parked(BASE_PERCENT)
         if not self._judge_axes(
             session, nominal_base(arm, *poses_of(seen), NOISE_MM, smr_mm, U_ANY_MM)
         ):
@@ -426,7 +427,11 @@ def not_near(others_mm: Array) -> Callable[[Array], str]:
 
 
 def jogged(
-    session: CellSession, joints_rad: Array, from_rad: Array, what: str, percent: float = 1.0
+    session: CellSession,
+    joints_rad: Array,
+    from_rad: Array,
+    what: str,
+    percent: float = WIGGLE_PERCENT,
 ) -> None:
     session.robot_to(joints_rad, what, straight=StraightApproach(from_rad, percent))
 

@@ -60,11 +60,11 @@ class Jog:
 
     def stops_by(self) -> Literal["", "bound", "stop"]:
         """Return why the slide must stop now; "" where it may go on."""
-        at = np.array(self.polls, dtype=float)
+        at = np.array([self.polls[0], *self.polls[-2:]], dtype=float)  # a jog has thousands
         gone_mm = np.abs(at[-1, 1:3] - at[0, 1:3])
         if self.stop_after_mm is not None and gone_mm[0] >= self.stop_after_mm:
             return "stop"
-        passed_s = at[-1, 0] - at[-2, 0] if len(at) > 1 else 0.0
+        passed_s = at[-1, 0] - at[-2, 0]
         steps_mm = np.abs(at[-1, 1:3] - at[-2, 1:3]) if passed_s > 0 else np.zeros(2)
         speed_mm_s = max(abs(at[-1, 3]), *(steps_mm / passed_s if passed_s > 0 else steps_mm))
         ramp_mm_s2 = self.limits.acceleration / self.limits.counts_per_mm

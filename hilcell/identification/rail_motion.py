@@ -35,6 +35,7 @@ class JogFigures(NamedTuple):
     driven_mm: float
     moved_mm: float
     by_speed_mm: float
+    mean_mm_s: float  # until a tenth of the way is left: no stated speed tells it
     stopped_by: str
 
     @property
@@ -72,11 +73,14 @@ class JogFigures(NamedTuple):
 
 def jog_figures(trace: Trace) -> JogFigures:
     """Return the figures of one jog."""
-    t, stated = np.asarray(trace.taken_s), np.abs(np.asarray(trace.velocity_mm_s))
+    t, stated = np.asarray(trace.taken_s), np.asarray(trace.velocity_mm_s)  # signed: noise cancels
+    gone_mm = np.abs(np.asarray(trace.drive_mm) - trace.drive_mm[0])
+    near = int(np.argmax(gone_mm >= 0.9 * gone_mm[-1]))
     return JogFigures(
         float(trace.drive_mm[-1] - trace.drive_mm[0]),
         float(trace.strip_mm[-1] - trace.strip_mm[0]),
-        float(np.trapezoid(stated, t)),
+        abs(float(np.trapezoid(stated, t))),
+        float(gone_mm[near] / (t[near] - t[0])) if near else 0.0,
         trace.stopped_by,
     )
 

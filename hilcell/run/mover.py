@@ -534,8 +534,10 @@ class Mover(RunContext):
         self.checkpoint()
         self.parked()
 
-    def parked(self) -> RobotReading:
+    def parked(self, percent: float | None = None) -> RobotReading:
         """Return a reading of the robot at its safe pose, to which it moves unless it is there.
+
+        ``percent`` of full speed: None for the cell file's.
 
         A slide that has left its held station stops the run; a resumed run, which holds none yet,
         parks at any slide position. Here, before the first motion, the controller's kinematics are
@@ -553,7 +555,8 @@ class Mover(RunContext):
         with self.admitted() as motion:
             motion.check_path(safe_rad, "park")
             self.intend("", "robot.park", seen=reading_facts(*motion.slide()))
-            return motion.drive([safe_rad], self.cell.robot.speed_percent, "park")
+            usual = self.cell.robot.speed_percent
+            return motion.drive([safe_rad], usual if percent is None else percent, "park")
 
     def robot_to(
         self,

@@ -90,6 +90,7 @@ class Jogged:
     scale: float = 1.0
     speed: float = 1.0
     stopped_by: str = ""
+    noise_mm_s: float = 0.0
     taken_s: list[float] = field(default_factory=lambda: [0.01 * n for n in range(301)])
 
     @property
@@ -102,7 +103,9 @@ class Jogged:
 
     @property
     def velocity_mm_s(self) -> list[float]:
-        return [2.0 * self.speed if x < 5.0 else 0.0 for x in self.drive_mm]
+        noise = (self.noise_mm_s * (-1) ** n for n in range(len(self.taken_s)))
+        moving = (2.0 * self.speed if x < 5.0 else 0.0 for x in self.drive_mm)
+        return [v + e for v, e in zip(moving, noise, strict=True)]
 
 
 @pytest.mark.parametrize(
@@ -127,9 +130,21 @@ def test_a_strip_that_stands_still_or_reads_nothing_is_gross() -> None:
     assert jog_figures(Jogged(float("nan"))).is_gross
 
 
+@pytest.mark.parametrize("noise", [0.0, 3.0])
 @pytest.mark.parametrize("unit", [0.1, 1.0, 10.0, 1 / 166.7])
-def test_the_stated_speed_shows_its_unit(unit: float) -> None:
-    assert jog_figures(Jogged(speed=unit)).speed_share == pytest.approx(1 / unit, rel=0.02)
+def test_the_stated_speed_shows_its_unit(unit: float, noise: float) -> None:
+    figures = jog_figures(Jogged(speed=unit, noise_mm_s=2.0 * unit * noise))
+    assert figures.speed_share == pytest.approx(1 / unit, rel=0.02)
+    assert figures.mean_mm_s == pytest.approx(2.0)  # whatever the drive states
+
+
+@pytest.mark.parametrize(
+    ("polls_s", "mean_mm_s"), [([0.0, 3.0, 4.0], 5.0 / 3.0), ([0.0], 0.0), ([2.5, 3.0], 0.0)]
+)
+def test_a_jog_that_is_over_within_a_poll_has_a_mean_speed(
+    polls_s: list[float], mean_mm_s: float
+) -> None:
+    assert jog_figures(Jogged(taken_s=polls_s)).mean_mm_s == pytest.approx(mean_mm_s)
 
 
 def test_a_stop_is_measured_from_full_speed_to_rest() -> None:
