@@ -23,6 +23,8 @@ CAMPAIGNS = {
     "days": "campaigns.days",
     "stops": "campaigns.stops",
     "rests": "campaigns.rests",
+    "unknown": "campaigns.unknown",
+    "traps": "campaigns.traps",
 }
 
 

@@ -32,7 +32,9 @@ from fakes.site import SimulatedDevice, Site, device_servers
 from fakes.time import CellTime
 from fakes.traps import rail_device
 from fakes.truth.cell_truth import FLANGE, CellTruth, ReplayTruth
+from fakes.truth.motion_record import Travel
 from fakes.truth.rail_truth import RailTruth
+from fakes.truth.transforms import Array
 from fakes.wires import HOST, Listener
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert
@@ -62,16 +64,26 @@ def truth_answer(truth: CellTruth, order: Values) -> Values:
 
 def travel_answer(truth: CellTruth | ReplayTruth, now_s: float) -> Values:
     """Return the travel of slide (mm) and axes (deg) since it was last asked, and the time."""
-    axes = truth.robot.travel()
-    answer: Values = {"now_s": now_s, "axes": {"moving_s": axes.moving_s}}
-    for name in ("begin", "low", "high", "excursion"):
-        answer["axes"][f"{name}_deg"] = np.degrees(getattr(axes, name)).tolist()
+    answer: Values = {"now_s": now_s, "axes": _travel_values(truth.robot.travel(), "deg")}
     if isinstance(truth.rail, RailTruth):
-        slide = truth.rail.travel()
-        answer["slide"] = {"moving_s": slide.moving_s}
-        for name in ("begin", "low", "high", "excursion"):
-            answer["slide"][f"{name}_mm"] = float(getattr(slide, name)[0])
+        answer["slide"] = _travel_values(truth.rail.travel(), "mm")
     return answer
+
+
+def _travel_values(travel: Travel, unit: str) -> Values:
+    """Return a travel with its unit in each name: "mm" of one axis, or "deg" of several."""
+
+    def plain(value: Array) -> object:
+        return np.degrees(value).tolist() if unit == "deg" else float(value[0])
+
+    names = ("begin", "low", "high")
+    strokes = [
+        {"began": each.began, f"fastest_{unit}_s": plain(each.fastest)}
+        | {f"{name}_{unit}": plain(getattr(each, name)) for name in names}
+        for each in travel.strokes
+    ]
+    distances = {f"{name}_{unit}": plain(getattr(travel, name)) for name in (*names, "excursion")}
+    return {"moving_s": travel.moving_s, "strokes": strokes} | distances
 
 
 class Order(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -1,12 +1,28 @@
-"""How far and how long something really moved: for tests that judge the bound of a motion."""
+"""How far, how fast and how long something really moved: for tests that judge announced bounds."""
 
 from __future__ import annotations
 
+from collections import deque
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import NamedTuple
 
 import numpy as np
 
 from fakes.truth.transforms import Array
+
+STROKES = 10_000  # kept: more than a commissioning has
+
+
+@dataclass(slots=True)
+class Stroke:
+    """One motion: when it began (UTC, as a journal's stamps), positions (N,), the planned speed."""
+
+    began: str
+    begin: Array
+    low: Array
+    high: Array
+    fastest: Array
 
 
 class Travel(NamedTuple):
@@ -16,6 +32,7 @@ class Travel(NamedTuple):
     low: Array
     high: Array
     moving_s: float
+    strokes: list[Stroke]
 
     @property
     def excursion(self) -> Array:
@@ -27,16 +44,28 @@ class MotionRecord:
     """Positions (N,) between two calls of `take`; each call of `add` ends a monotonic motion."""
 
     def __init__(self, at: Array) -> None:
-        self._begin = self._low = self._high = at
+        self._begin = self._at = self._low = self._high = at
         self._moving_s = 0.0
+        self._strokes: deque[Stroke] = deque(maxlen=STROKES)
+
+    def begin(self, fastest: Array) -> None:
+        """Begin a stroke here; ``fastest`` (N,): its largest planned speeds."""
+        began, at = datetime.now(UTC).isoformat(timespec="milliseconds"), self._at
+        self._strokes.append(Stroke(began, at, at, at, fastest))
 
     def add(self, at: Array, moving_s: float) -> None:
+        self._at = at
         self._low, self._high = np.minimum(self._low, at), np.maximum(self._high, at)
         self._moving_s += moving_s
+        if self._strokes:
+            last = self._strokes[-1]
+            last.low, last.high = np.minimum(last.low, at), np.maximum(last.high, at)
 
     def take(self, at: Array) -> Travel:
         """Return the travel since the last call, up to positions (N,), and begin again there."""
-        travel = Travel(self._begin, self._low, self._high, self._moving_s)
-        self._begin = self._low = self._high = at
+        strokes = [each for each in self._strokes if np.any(each.high > each.low)]
+        travel = Travel(self._begin, self._low, self._high, self._moving_s, strokes)
+        self._begin = self._at = self._low = self._high = at
         self._moving_s = 0.0
+        self._strokes.clear()
         return travel

@@ -111,7 +111,7 @@ class RailTruth:
         with self._lock:
             self._homing = False
             before_mm = self._landing(self._time.now_s())
-            self._path = self._fresh_path().brake(deceleration_mm_s2)
+            self._begin(self._fresh_path().brake(deceleration_mm_s2))
             self._landing_mm = (before_mm, before_mm)
 
     def home(self, speed_mm_s: float, *, upper: bool = False, reads_mm: float = 0.0) -> None:
@@ -228,7 +228,11 @@ class RailTruth:
         sigma_mm = short_mm + share * (long_mm - short_mm)
         lands_mm = sigma_mm * float(self._noise.normal(key, 1)[0])
         self._landing_mm = (self._landing(path.start_s), lands_mm)
+        self._begin(path)
+
+    def _begin(self, path: Path) -> None:
         self._path = path
+        self._record.begin(np.array([path.fastest]))
 
     def _landing(self, now_s: float) -> float:
         before_mm, after_mm = self._landing_mm

@@ -51,6 +51,11 @@ class Path:
     def end(self) -> float:
         return self._segments[-1].position
 
+    @property
+    def fastest(self) -> float:
+        """Return the largest speed of all segments."""
+        return max(abs(segment.velocity) for segment in self._segments)
+
     def brake(self, deceleration: float) -> Path:
         """Append braking to standstill."""
         velocity = self._segments[-1].velocity
@@ -293,6 +298,7 @@ class RobotMotion:
         if not self._recorders:
             self._legs.clear()
         self._legs.append(leg)
+        self._record.begin(self._path.fastest * np.abs(self._to - self._from))
 
     def _moves(self, now_s: float) -> bool:
         overridden = self._share > 0 and self._path.end < 1.0

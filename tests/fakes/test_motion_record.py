@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
+
 import numpy as np
 import pytest
 
@@ -33,8 +35,14 @@ def test_a_slide_that_went_out_and_back_between_two_questions(truth: CellTruth) 
     assert travel.low == pytest.approx([begin_mm - 20.0], abs=backlash_mm)
     assert travel.excursion == pytest.approx([50.0])
     assert travel.moving_s == pytest.approx((50 / 100 + 0.5) + (70 / 100 + 0.5))
+    out, back = travel.strokes
+    assert (out.low[0], out.begin[0], out.high[0]) == (begin_mm, begin_mm, begin_mm + 50.0)
+    assert (back.low[0], back.begin[0], back.high[0]) == (travel.low[0], out.high[0], out.high[0])
+    assert out.fastest[0] == back.fastest[0] == 100.0
+    assert out.began <= back.began <= datetime.now(UTC).isoformat(timespec="milliseconds")
     rest = rail.travel()
     assert (rest.excursion, rest.moving_s) == (0.0, 0.0)
+    assert not rest.strokes
 
 
 def test_a_slide_that_is_stopped_on_its_way(truth: CellTruth) -> None:
@@ -48,6 +56,7 @@ def test_a_slide_that_is_stopped_on_its_way(truth: CellTruth) -> None:
     truth.time.advance(5.0)
     travel = rail.travel()
     assert travel.excursion == pytest.approx([25.0 + 75.0 + 12.5])
+    assert [each.high[0] - each.begin[0] for each in travel.strokes] == pytest.approx([100.0, 12.5])
     assert travel.moving_s == pytest.approx(1.25 + 0.25)
 
 
@@ -77,6 +86,8 @@ def test_the_axes_that_moved_and_for_how_long(cell: Cell, truth: CellTruth) -> N
     assert travel.begin == pytest.approx(home_rad)
     assert travel.excursion == pytest.approx(np.abs(step_rad))
     assert travel.moving_s == pytest.approx(2 * ends_s)
+    speeds_rad_s = 0.1 * np.radians([joint.speed_deg_s for joint in cell.robot.joint])
+    assert [each.fastest[1] for each in travel.strokes] == pytest.approx([speeds_rad_s[1]] * 2)
     robot.move(home_rad + step_rad, 0.1)
     truth.time.advance(ends_s / 2)
     robot.brake()

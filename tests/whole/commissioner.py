@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
@@ -17,8 +16,8 @@ from hilcell.tui.keys import load_keys
 from hilcell.tui.screens.base import Options
 from hilcell.tui.screens.commissioning import CommissionScreen
 from hilcell.tui.terminal import UNICODE
-from tests.whole.bench import LOOK_S, sim_command
-from tests.whole.test_commission import FREE_PORTS, answers
+from tests.whole.bench import LOOK_S
+from tests.whole.halls import answers, unknown_hall
 
 
 def shown(app: HilcellApp) -> str:
@@ -29,11 +28,8 @@ def shown(app: HilcellApp) -> str:
 @contextmanager
 def hall(folder: Path, seed: int) -> Iterator[list[str]]:
     """Serve a hall; return what a person answers, by its sheet."""
-    words = ("--cell", "unknown", "--seed", str(seed), "--speed", "max")
-    sheet = folder / "hall"
-    with sim_command(*words, "--sheet", str(sheet), "--ports", FREE_PORTS):
-        facts = json.loads((sheet / "hall.json").read_text())
-        yield answers(facts, sheet / "nests.csv").splitlines()
+    with unknown_hall(folder / "hall", seed) as served:
+        yield answers(served.sheet, served.folder).splitlines()
 
 
 @asynccontextmanager

@@ -1,9 +1,14 @@
-"""Halls that nobody has measured, as processes, and the cell file that would be right for each."""
+"""Halls that nobody has measured, as processes: commissioned as a person does, judged by the truth.
+
+The truth gives the cell file that would be right, and all that really moved.
+"""
 
 from __future__ import annotations
 
 import json
 import math
+import re
+import subprocess
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,9 +20,13 @@ import tomlkit
 from scipy.spatial.transform import Rotation
 
 from hilcell.cell.file import Cell, load_cell
-from tests.whole.bench import Simulation, sim_command
+from procedures.commission_places import AIM_S
+from tests.whole.announced import unannounced
+from tests.whole.bench import HILCELL, Simulation, command, events, hilcell, sim_command
 
 FREE_PORTS = "rail=0,robot=0,tracker=0,control=0"
+MOST_QUESTIONS, MOST_MIN = 60, 45.0
+READY = "this cell is ready to calibrate: hilcell run --cell "
 
 
 @dataclass(frozen=True)
@@ -26,6 +35,7 @@ class Hall:
 
     sheet: Mapping[str, Any]
     simulation: Simulation
+    folder: Path  # of the sheet
 
     def truth(self) -> dict[str, Any]:
         """Return the truth: frames and reflectors in {W}, and the drawn cell's tables."""
@@ -84,12 +94,149 @@ def unknown_hall(
     words += ["--sheet", str(folder), "--ports", FREE_PORTS]
     words += ["--trap", trap] if trap else []
     with sim_command(*words) as simulation:
-        yield Hall(json.loads((folder / "hall.json").read_text("utf-8")), simulation)
+        yield Hall(json.loads((folder / "hall.json").read_text("utf-8")), simulation, folder)
+
+
+def answers(sheet: Mapping[str, Any], folder: Path, teach: str = "none") -> str:
+    """Return the lines that a person types, by the sheet of a hall in its folder."""
+    lines = [
+        "HC-7",
+        sheet["control"],
+        *(sheet["drivers"][table] for table in ("robot", "rail", "tracker")),
+        sheet["reflector"],
+        sheet["room_mm"],
+        "35",
+        sheet["speed_mm_s"],
+        sheet["acceleration_mm_s2"],
+        folder / "nests.csv",
+        len(sheet["slide"]),
+        folder / "volumes.csv",
+        teach,
+        "",  # the arm's shape
+        *["y"] * MOST_QUESTIONS,
+    ]
+    return "".join(f"{line}\n" for line in lines)
+
+
+def commission(file: Path, typed: str, *words: str) -> subprocess.CompletedProcess[str]:
+    """Commission a cell file; its runs stand beside it."""
+    return subprocess.run(
+        [*HILCELL, "commission", str(file), "--runs", str(file.parent / "runs"), *words],
+        input=typed, capture_output=True, text=True, timeout=600, check=False,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Commissioned:
+    """One `hilcell commission` in a hall: what it said, how long it took, what is wrong with it."""
+
+    done: subprocess.CompletedProcess[str]
+    questions: int
+    robot_min: float  # by the clock of the simulated cell: motions, waits, readings
+    person_min: float  # that a person needs besides, who puts the beam on nests
+    problems: list[str]
+
+    def said(self, step: str) -> str:
+        """Return what was printed in a step, all its repetitions."""
+        return self.done.stderr.partition(f", {step}: ")[2].partition("\nstep ")[0]
+
+
+def commissioned(hall: Hall, file: Path, *, ready: bool = True) -> Commissioned:
+    """Commission a hall by its sheet, and judge it by its truth; ``ready``: it should get so far.
+
+    Nothing but the first words of a step's question say what may move (`tests.whole.announced`).
+    """
+    runs = file.parent / "runs"
+    began_s = hall.travel()["now_s"]
+    done = commission(file, answers(hall.sheet, hall.folder))
+    travel = hall.travel()
+    questions = int((done.stderr.rpartition(" questions;")[0] or "0").rpartition("\n")[2])
+    robot_min = (travel["now_s"] - began_s) / 60.0
+    person_min = done.stderr.count("Put the beam on ") * AIM_S / 60.0
+    journals = {
+        run.name: events(command("watch", run.name, "--runs", runs, "--json").stdout)
+        for run in sorted(runs.glob("*-commission-*"))
+    }
+    problems = [*_unsound(runs)]
+    problems += unannounced(done.stderr, journals, travel, _limits(hall.truth()["cell"]))
+    for what, found, most in (
+        ("questions", questions, MOST_QUESTIONS),
+        ("minutes of robot and person", robot_min + person_min, MOST_MIN),
+    ):
+        if not found <= most:
+            problems.append(f"{found:.0f} {what}, at most {most:g}")
+    if (done.returncode == 0) != ready or (READY in done.stderr) != ready:
+        problems.append(f"exit code {done.returncode}: {last_words(done.stderr)}")
+    if ready and done.returncode == 0:
+        problems += differences(file, hall)
+    return Commissioned(done, questions, robot_min, person_min, problems)
+
+
+def _unsound(runs: Path) -> Iterator[str]:
+    """Yield what `hilcell show --check` says of runs that are not sound."""
+    for run in sorted(runs.glob("*/")):
+        checked = command("show", run.name, "--check", "--runs", runs)
+        if checked.returncode:
+            yield f"{run.name}: {last_words(checked.stdout + checked.stderr)}"
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """A calibration of a commissioned cell file, and the programs that it corrects."""
+
+    mean_mm: float
+    largest_mm: float
+    problems: list[str]
+
+
+def calibrated(file: Path) -> Calibrated:
+    """Run `hilcell run` and `hilcell prepare` on a commissioned cell file."""
+    runs = ("--runs", file.parent / "runs")
+    ran = hilcell("run", "--cell", file, "--name", "first", *runs)
+    said = re.search(r"IN TOLERANCE.*mean ([\d.]+).*largest ([\d.]+)", ran.stdout + ran.stderr)
+    if ran.returncode or said is None:
+        return Calibrated(math.nan, math.nan, [f"run {ran.returncode}: {last_words(ran.stderr)}"])
+    drawing = holes(load_cell(str(file)), file.parent / "holes.csv")
+    out = file.parent / "monday"
+    words = ("--cell", file, "--calibration", "first", "-o", out, *runs)
+    prepared = hilcell("prepare", drawing, *words)
+    problems = [*_unsound(file.parent / "runs")]
+    if prepared.returncode or not list(out.glob("*.src")):
+        problems.append(f"prepare {prepared.returncode}: {last_words(prepared.stderr)}")
+    return Calibrated(float(said[1]), float(said[2]), problems)
+
+
+def holes(cell: Cell, path: Path) -> Path:
+    """Write a drawing of holes: a row in the cube at the first station, in {W}."""
+    T = cell.layout.nominal_base(cell.reference.strip_mm) @ cell.grid.centre.matrix()
+    rows = ["name,x_mm,y_mm,z_mm,nx,ny,nz"]
+    for n, x_mm in enumerate((-100.0, 0.0, 100.0), start=1):
+        values = [*(T @ np.array([x_mm, 0.0, 0.0, 1.0]))[:3], *-T[:3, 2]]
+        rows.append(f"H{n}," + ",".join(f"{value:.4f}" for value in values))
+    path.write_text("\n".join([*rows, ""]))
+    return path
+
+
+def last_words(said: str) -> str:
+    """Return the last lines that a command printed, those of its end."""
+    return " / ".join(said.strip().splitlines()[-3:])
+
+
+def _limits(drawn: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
+    """Return the ends of slide (mm) and axes (deg) of a hall, and the axes' full speeds (deg/s)."""
+    behind_mm = 1.5  # the limit switches, and the slide behind them
+    rail, joints = drawn["rail"], drawn["robot"]["joint"]
+    limits_deg = drawn["simulation"]["sizes"]["controller"]["limits_deg"]
+    limits = {"slide": (rail["travel_min_mm"] - behind_mm, rail["travel_max_mm"] + behind_mm)}
+    for n, (joint, (low, high)) in enumerate(zip(joints, limits_deg, strict=True), start=1):
+        limits |= {f"axis {n}": (low, high), f"axis {n} speed": (0.0, joint["speed_deg_s"])}
+    return limits
 
 
 # Largest differences of a commissioned cell file from the truth: those of steps by eye and of
 # robots with errors of a millimetre, not of a calibration.
-PLACE_MM, TURN_DEG, SCALE_SHARE, STRIP_MM, LIMIT_DEG = 6.0, 0.3, 2e-3, 3.0, 0.01
+PLACE_MM, TURN_DEG, STRIP_MM, LIMIT_DEG = 6.0, 0.3, 3.0, 0.01
+SCALE_SHARE, SPEED_SHARE = 2e-3, 0.05
 
 
 def differences(file: Path, hall: Hall) -> list[str]:
@@ -127,12 +274,20 @@ def _of_the_rail(
             yield f"rail.options.{key}: not {device[key]}"
     if not scales["counts_per_mm"] * scales["strip_counts_per_mm"] > 0.0:
         yield "drive and strip count in opposite directions"
-    stated = device["speed_unit"] if device["states_units"] else "counts/s"
-    if (options.get("speed_unit") or stated) != device["speed_unit"]:
-        yield f"rail.options.speed_unit: not {device['speed_unit']}"
+    true_unit = _counts_s(device["speed_unit"], device["counts_per_turn"])
+    unit = _counts_s(options.get("speed_unit"), options.get("counts_per_turn"))
+    unit = unit or (true_unit if device["states_units"] else 1.0)
+    if not abs(unit / true_unit - 1.0) <= SPEED_SHARE:
+        yield f"rail.options.speed_unit: {unit:.4g} counts/s, not {true_unit:.4g}"
     low_mm, high_mm = cell.rail.travel_min_mm - STRIP_MM, cell.rail.travel_max_mm + STRIP_MM
     if not low_mm <= rail_mm <= high_mm:
         yield f"the slide stands at {rail_mm:.1f} mm, outside {low_mm:.1f} .. {high_mm:.1f} mm"
+
+
+def _counts_s(unit: object, counts_per_turn: object) -> float:
+    """Return a unit of speed in counts/s; 0 for none."""
+    rpm = float(str(counts_per_turn or 0)) / 60.0
+    return {"counts/s": 1.0, "0.1 counts/s": 0.1, "rpm": rpm}.get(str(unit), 0.0)
 
 
 def _of_places(cell: Cell, truth: Mapping[str, Any], rail_mm: float) -> Iterator[str]:

@@ -14,8 +14,7 @@ from hilcell.commission.record import Commissioned, StepRecord
 from hilcell.commission.sequence import NAMES
 from hilcell.geometry.frames import apply, inverse
 from tests.whole.bench import command, end_of
-from tests.whole.halls import Hall, unknown_hall, write_cell
-from tests.whole.test_commission import commission
+from tests.whole.halls import Hall, commission, unknown_hall, write_cell
 
 pytestmark = pytest.mark.process
 LISTED = ["floor", "rail bed", "plate", "tracker"]
