@@ -15,7 +15,7 @@ import numpy as np
 
 from hilcell.calibration.grid import grid_of
 from hilcell.cell.file import Cell
-from hilcell.cell.surroundings import KeepOut, Surroundings, posture
+from hilcell.cell.surroundings import KeepOut, Surroundings, keep_out_problems, posture
 from hilcell.compensation.volumes import CORNERS, read_volumes, row, taught
 from hilcell.errors import HilcellError
 from hilcell.geometry.frames import apply, inverse
@@ -104,9 +104,9 @@ class Volumes(Step):
     def _judge(session: CellSession, known: list[KeepOut]) -> None:
         """Prove each volume by itself, then every motion of a calibration among all."""
         cell, envelope = session.cell, session.cell.robot.envelope
-        if not known or envelope is None:
-            lacking = "robot.envelope" if known else "volumes"
-            prove(session, "volumes", holds=False, found=f"no {lacking}", expected="both")
+        problems = "; ".join(keep_out_problems(known, envelope))
+        if problems or envelope is None:
+            prove(session, "volumes", holds=False, found=problems, expected="volumes and a shape")
             return
         wanted_mm = envelope.clearance_mm + PLAN_MARGIN_MM
         for name, least in least_clearances(cell, known).items():

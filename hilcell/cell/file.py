@@ -430,6 +430,8 @@ class VolumesTable(Frozen, frozen=True, kw_only=True):
     teach: list[Name] = field(default_factory=list)
 
     def __post_init__(self) -> None:
+        if not (self.file or self.teach):
+            raise ValueError("expected file, teach, or both")
         if len(set(self.teach)) != len(self.teach):
             raise ValueError(f"teach: names must differ, got {', '.join(self.teach)}")
 

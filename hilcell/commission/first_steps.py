@@ -307,7 +307,9 @@ def volume_list(answer: str) -> str:
 
 def taught_names(answer: str) -> list[str]:
     """Return the names of volumes, none for "none"; raises `ValueError`."""
-    names = [] if answer == NONE else [name.strip() for name in answer.split(",")]
+    if answer == NONE:
+        return []
+    names = [name.strip() for name in answer.split(",")]
     try:
         return convert({"teach": names}, VolumesTable, "names").teach
     except SettingsError as error:
