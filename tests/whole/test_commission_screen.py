@@ -58,3 +58,27 @@ def test_a_whole_hall_is_commissioned_on_the_screen(tmp_path: Path) -> None:
         asyncio.run(whole(lines))
     proved = {step.step for step in Commissioned.read(tmp_path / "my.toml").steps if step.holds}
     assert proved == {*NAMES}
+
+
+@pytest.mark.nightly
+def test_escape_stops_a_step_that_moves(tmp_path: Path) -> None:
+    async def stopped(lines: list[str]) -> None:
+        async with commissioning(tmp_path) as pilot:
+            app = pilot.app
+            assert isinstance(app, HilcellApp)
+            work = await begun(pilot)
+            await perform(pilot, work, lines, "rail")
+            await pilot.press("enter")
+            while not (app.live and app.view and app.view.state == "running"):
+                await pilot.pause(LOOK_S)
+            await pilot.press("escape")
+            while work.at_work:
+                await pilot.pause(LOOK_S)
+            while "goes on with step rail" not in shown(app):
+                await pilot.pause(LOOK_S)
+
+    with hall(tmp_path, 40) as lines:
+        asyncio.run(stopped(lines))
+    *_, last = run_folders(tmp_path / "runs")
+    assert read_log(last).state == "aborted"
+    assert Commissioned.read(tmp_path / "my.toml").last("rail") is None
