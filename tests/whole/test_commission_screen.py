@@ -46,6 +46,7 @@ def test_the_first_steps_are_performed_and_a_new_screen_goes_on(tmp_path: Path) 
 
 
 @pytest.mark.nightly
+@pytest.mark.timeout(1200)
 def test_a_whole_hall_is_commissioned_on_the_screen(tmp_path: Path) -> None:
     async def whole(lines: list[str]) -> None:
         async with commissioning(tmp_path) as pilot:

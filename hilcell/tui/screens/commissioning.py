@@ -92,6 +92,7 @@ class CommissionScreen(Page):
         self._waits_since = 0  # the record of which it was asked
         self._known = 0  # the newest record at that time
         self._asked: Question | None = None  # as shown
+        self._in_full = True  # whether all of it is
         self._mode: tuple[object, ...] = ()
 
     def body(self) -> ComposeResult:
@@ -251,18 +252,23 @@ class CommissionScreen(Page):
         chosen = dict(question.choices).get(self._table("choices").key, "") if question else ""
         said = text.said_lines(chosen, self.work.said if self.work is not None else [])
         words, checks = self._words(work, question), self._checks(run, work)
-        shown = {"subject": subject, "words": words, "said": said}
-        for name, lines in shown.items():
+        for name, lines in {"subject": subject, "words": words, "said": said}.items():
             self.panel(name).show(lines)
-        width, room = self.line_width - self.COURSE, self._room(run)
-        taken = {name: len(lines.lines(width)) for name, lines in shown.items()}
-        asks = question is not None
-        self.panel("said").display = taken["said"] > 0
-        self.query_one("#course").display = not asks or sum(taken.values()) < room
+        self.panel("said").display = bool(said.lines(self.line_width))
+        asks, room, beside = question is not None, self._room(run), self.line_width - self.COURSE
+        narrow = self._rows([subject, words, said], beside) >= room
+        self.query_one("#course").display = not (asks and narrow)
+        self._in_full = (
+            self._rows([subject, words], self.line_width - 2 if narrow else beside) < room
+        )
         few = min(len(checks) + 1, self.FEW_ROWS) if not asks else 0
-        most = max(room - few - taken["subject"] - taken["said"], 2)
+        most = max(room - few - self._rows([subject, said], beside), 2)
         self.panel("words").styles.max_height = most if few else None
         self._show_checks([] if asks else checks, in_full=run is None or room >= self.TALL)
+
+    @staticmethod
+    def _rows(shown: Sequence[Lines], width: int) -> int:
+        return sum(len(each.lines(max(width, 1))) for each in shown)
 
     def _room(self, run: RunView | None) -> int:
         """Return the rows between banner and keys, or what is above these."""
@@ -379,6 +385,8 @@ class CommissionScreen(Page):
             return
         if question.motion and not self.application.key_is_deliberate:
             self.show_notice("the key was ignored, as part of a burst of keys: press it alone")
+        elif question.motion and not self._in_full:
+            self.show_notice("the terminal is too small for all that moves: enlarge it, or Esc")
         elif question is not self._go_on:
             work.answer(answer)
             self.show_again()

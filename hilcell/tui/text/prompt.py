@@ -98,6 +98,8 @@ class PromptText:
         rest = f"robot at safe pose{', slide held' if self.view.has_rail else ''}: nothing moves"
 
         def draw(width: int, height: int) -> list[Content]:
+            if width < 1:  # beside the task there is no column left
+                return []
             drawn = [] if site is None or not placing else site.drawn(width, height - 2)
             if drawn:
                 above = Content.styled("from above, to scale", "$label")

@@ -130,6 +130,35 @@ def test_nothing_typed_before_a_question_of_a_motion_answers_it(tmp_path: Path) 
     assert found == [True]
 
 
+def test_a_question_of_a_motion_that_is_cut_is_not_answered(tmp_path: Path) -> None:
+    found: list[bool] = []
+
+    async def act(app: Stage, pilot: Press) -> None:
+        await until(pilot, lambda: asks(app))
+        await pilot.resize_terminal(60, 6)
+        await pilot.press(*"yes", "enter")
+        await until(pilot, lambda: "too small" in text_of(app))
+        assert not found
+        await pilot.resize_terminal(*SIZE)
+        await pilot.press("enter")
+
+    on_cell(lambda dialogue, run: found.append(dialogue.agree(QUESTION)), act, tmp_path)
+    assert found == [True]
+
+
+@pytest.mark.parametrize("state", ["running", "paused", "suspended"])
+def test_it_fits_each_terminal(state: str) -> None:
+    async def act(app: Stage, pilot: Press) -> None:
+        app.commissioning = work_of("rail")
+        await press(pilot, "C")
+        for size in ((160, 40), (60, 15), (20, 5)):
+            await pilot.resize_terminal(*size)
+            await settle(pilot)
+            assert all(len(line) <= size[0] for line in text_of(app).splitlines())
+
+    run_app(act, state, size=SIZE)
+
+
 def test_a_choice_is_taken_from_a_list(tmp_path: Path) -> None:
     found: list[str] = []
     makes = {"kuka": "a robot of one make", "ur": "one of another, by a wire that is its own"}

@@ -224,3 +224,16 @@ def test_where_there_is_no_room_there_is_no_drawing() -> None:
         assert len(lines) == rows
         assert {len(line) for line in lines} == {columns}
         assert " F2 " in "\n".join(lines)
+
+
+@pytest.mark.parametrize(
+    ("ready", "words"), [(False, "no reflector yet"), (True, "reflector measured")]
+)
+def test_a_beam_that_a_person_puts_on_a_nest_has_no_place_yet(ready: bool, words: str) -> None:
+    view = seating()
+    waits = StateChanged(machine="run", to="suspended", prompt={"by_itself": True})
+    view.log.life[-1] = view.log.life[-1]._replace(change=waits)
+    found = text(but(place="a floor nest", expected_mm=None, ready=ready), view)
+    assert words in found
+    assert "strip" not in found
+    assert "Place it" not in found
