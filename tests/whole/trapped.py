@@ -38,7 +38,7 @@ TRAPPED = [
         proof="recognised by distances: the places are the true ones",
     ),
     Trapped("tracker-upside-down", 3, "tracker", "upside down"),
-    Trapped("other-smr", 3, "tracker", "another reflector", refused=True, proof="refused"),
+    Trapped("other-smr", 3, "tracker", "reflectors of 0.5 in", refused=True, proof="refused"),
     Trapped("coupled-axis-3", 3, "controller", "axis 3 turns with axis 2 (coupled, -1)"),
     Trapped(
         "wrong-tool",
