@@ -240,7 +240,9 @@ PAGES: dict[str, type[BaseScreen]] = {
     "o": ReportPage,
 }
 
-Stage, Press = RecordingApp, Pilot[int]  # what a test is given
+# What a test is given. Names of types stand in one line each: mypy takes no tuple of them.
+Stage = RecordingApp
+Press = Pilot[int]
 Act = Callable[[RecordingApp, Pilot[int]], Awaitable[None]]
 
 

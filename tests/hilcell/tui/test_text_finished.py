@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import product
 from operator import itemgetter
 from typing import Any
@@ -298,8 +299,8 @@ def test_alarms_are_counted_beside_a_pass_but_not_those_that_are_over(
     causes: list[Cause], standing: int, words: str
 ) -> None:
     view = finished("done", PLACES)
-    texts = "HC-T10", "notice", "Beam broken", "Tracker", "broke", "means", ("do",), ""
-    view.alarms = [Alarm(*texts, n, cause=cause) for n, cause in enumerate(causes)]
+    alarm = Alarm("HC-T10", "notice", "Beam broken", "Tracker", "broke", "means", ("do",), "", 0)
+    view.alarms = [replace(alarm, seq=n, cause=cause) for n, cause in enumerate(causes)]
     lines = verdict(view).lines(view, UNICODE, standing)
     assert f" {words}" in drawn(lines, 79, ROWS)
 

@@ -240,7 +240,7 @@ def test_no_color_is_obeyed_whatever_it_says_but_nothing() -> None:
     assert has_colours(XTERM | {"NO_COLOR": ""})
 
 
-UTF_8 = (
+UTF_8: tuple[dict[str, str], ...] = (
     {"LANG": "en_US.UTF-8"}, {"LANG": "C.utf8"}, {"LC_CTYPE": "UTF-8"},
     {"LANG": "C", "LC_CTYPE": "de_DE.UTF-8"}, {"LANG": "C", "LC_CTYPE": "C", "LC_ALL": "C.UTF-8"},
     {"LANG": "en_US.UTF-8", "LC_ALL": ""}, {"LANG": "en_US.UTF-8@variant"}, {},
