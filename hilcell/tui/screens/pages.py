@@ -371,7 +371,7 @@ def _figure(name: str, form: str) -> Callable[[RunRow], str]:
     return lambda run: "" if value(run) is None else format(value(run), form)
 
 
-RUN_COLUMNS = (  # after the mark; |e| before and after in mm
+RUN_COLUMNS: tuple[Column[RunRow], ...] = (  # after the mark; |e| before and after in mm
     Column("begun UTC", 16, lambda run: run.begun.replace("T", " ")[:16], least=63),
     Column("begun", 10, lambda run: run.begun[:10], below=63),
     Column("procedure", 13, lambda run: run.procedure or run.name[-13:]),
@@ -553,7 +553,7 @@ def _change(n: int) -> Callable[[Change], str]:
     return lambda change: CHANGES[n].text(CHANGES[n].of(change), minus="-")
 
 
-CHANGE_COLUMNS = (
+CHANGE_COLUMNS: tuple[Column[Change], ...] = (
     Column("where", 16, _change(0)),
     Column("what", 20, lambda change: f"{_change(1)(change)}, {change.unit}"),
     Column("first", 7, _change(2), right=True),

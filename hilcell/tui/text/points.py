@@ -162,7 +162,7 @@ def _triple(values: Sequence[float] | None, digits: int, room: int) -> str:
 
 
 STATIONS_FROM, WIDE = 62, 119  # widths of the table: stations have a column; places, too
-_COLUMNS = (  # after the name
+_COLUMNS: tuple[Column[PointRow], ...] = (  # after the name
     Column("station", 7, lambda row: (row.point.station, "label"), least=STATIONS_FROM),
     Column("nominal x y z mm", 22, lambda row: (_triple(row.point.nominal_mm, 1, 22), "label"),
            right=True, least=WIDE),
