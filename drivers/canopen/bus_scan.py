@@ -71,10 +71,8 @@ def discover(known: Mapping[str, object]) -> list[Candidate]:
     """Return drive and strip of each bus; serial lines that were not named are only listed."""
     if "channel" in known:
         channel = str(known["channel"])
-        kernel = "/" not in channel
-        found = _candidates(str(known.get("interface", "socketcan" if kernel else "slcan")),
-                            channel, known)  # fmt: skip
-        return list(found)
+        usual = "slcan" if "/" in channel else "socketcan"
+        return list(_candidates(str(known.get("interface", usual)), channel, known))
     buses = [
         path.parent.name
         for path in sorted(Path("/sys/class/net").glob("*/type"))
@@ -96,8 +94,7 @@ def _candidates(interface: str, channel: str, known: Mapping[str, object]) -> It
     drives = [each for each in nodes if each.profile == cia.DRIVE_PROFILE]
     encoders = [each for each in nodes if each.profile == cia.ENCODER_PROFILE]
     for drive in drives:
-        for strip in encoders or [None]:
-            pair = {"drive": drive} | ({"strip": strip} if strip is not None else {})
+        for pair in [{"drive": drive, "strip": strip} for strip in encoders] or [{"drive": drive}]:
             all_options = dict(options)
             for role, each in pair.items():
                 all_options |= each.options(role)
@@ -130,7 +127,7 @@ def _nodes(interface: str, channel: str, bitrate: int) -> list[Found]:
     answers: dict[int, int] = {}
 
     def take(cob_id: int, data: bytearray, _at_s: float) -> None:
-        if data[:4] in (b"\x43\x00\x10\x00", b"\x42\x00\x10\x00"):
+        if data.startswith((b"\x43\x00\x10\x00", b"\x42\x00\x10\x00")):
             answers[cob_id - 0x580] = struct.unpack_from("<I", data, 4)[0]
 
     try:

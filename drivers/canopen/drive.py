@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
 
@@ -289,7 +289,8 @@ class Drive:
         return stopped_by
 
     def _run_jog(self, operation: str, jog: Jog, target: int) -> Literal["", "bound", "stop"]:
-        limits, stopped_by = self._limits, cast('Literal["", "bound", "stop"]', "")
+        limits = self._limits
+        stopped_by: Literal["", "bound", "stop"] = ""
         self._image.control(Control.ENABLE_OPERATION, target)
         self._until(operation, "last set-point released", lambda s: not s.has(Bit.ACKNOWLEDGED))
         planned_s = self.SLOWEST * abs(jog.distance_mm) / jog.speed_mm_s
