@@ -155,13 +155,13 @@ class LeicaEmsconTracker:
         with closing(self):
             info = self._request(Command.GET_TRACKER_INFO)
             direction = self._answer_of(Command.GET_DIRECTION, Layout.DIRECTION)
-            face = self._answer_of(Setting.FACE.read, Setting.FACE.layout)
+            face = self._face()
             reported = Reported(
                 status=self._system_status(),
                 info=self._decoded(TrackerInfo.decode, info.body) if info.body else None,
                 reflectors=self._reflectors(),
                 air=self._air(),
-                face=None if face is None else int(face[0]),
+                face=face,
                 tells_direction=direction is not None,
                 streams=self._answer_of(continuous.read, continuous.layout) is not None,
             )
@@ -318,14 +318,17 @@ class LeicaEmsconTracker:
         self._ask(Command.CHANGE_FACE, limit_s=self.MOVE_S)
         self.settings.expect(Setting.FACE, face)
 
+    def _face(self) -> int | None:
+        """Return the face, which older controllers do not report: None there."""
+        answer = self._answer_of(Setting.FACE.read, Setting.FACE.layout)
+        return None if answer is None else int(answer[0])
+
     def _first_face(self) -> None:
-        """Turn back a tracker that an earlier engine left in its second face. Older controllers do
-        not report their face.
-        """
-        face = self._answer_of(Setting.FACE.read, Setting.FACE.layout)
-        if face == (Value.SECOND_FACE,):
+        """Turn back a tracker that an earlier engine left in its second face."""
+        face = self._face()
+        if face == Value.SECOND_FACE:
             self._turn_to(Value.FIRST_FACE)
-        elif face == (Value.FIRST_FACE,):
+        elif face == Value.FIRST_FACE:
             self.settings.record(Setting.FACE)
 
     def _reflectors(self) -> list[Reflector]:
