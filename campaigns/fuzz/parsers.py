@@ -117,7 +117,7 @@ def robot(data: bytes) -> None:
     if not 6 <= len(body) <= robot_c3.MAX_BODY:
         return  # `decode_header` has refused it
     value = robot_c3.decode_body(tag, body).value
-    with suppress(krl.ProtocolError):
+    with suppress(ProtocolError):
         krl.parse(value)
     krl.numbers(value, AXES)
 
@@ -341,7 +341,7 @@ PARSERS = {
     parser.name: parser
     for parser in (
         Parser("tracker", tracker, (ProtocolError,), tracker_samples),
-        Parser("robot", robot, (robot_c3.ProtocolError, krl.ProtocolError), robot_samples),
+        Parser("robot", robot, (ProtocolError,), robot_samples),
         Parser("sdo", sdo_replies, (HilcellError,), sdo_samples),
         Parser("can", can_frames, (HilcellError, can.CanError), can_samples),
         Parser("journal-record", journal_record, (ValueError, TypeError), record_samples),

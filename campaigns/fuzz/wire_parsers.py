@@ -68,9 +68,9 @@ def documents(data: bytes) -> None:
     for number in (ASKED, ASKED - 1):
         state = channel.ask(number, eki.command(number, eki.Kind.ASK))
         for name in eki.SINGLE:
-            with suppress(eki.ProtocolError, ValueError):
+            with suppress(ProtocolError, ValueError):
                 state.single(name)
-        with suppress(eki.ProtocolError, ValueError):
+        with suppress(ProtocolError, ValueError):
             state.numbers("$AXIS_ACT", AXES)
 
 

@@ -208,6 +208,11 @@ class Bed(Generic[P, D]):
                 device.close()
 
 
+def always(answer: str) -> Callable[[str], str]:
+    """Return a peer's answer to whatever is asked."""
+    return lambda _: answer
+
+
 def refusal(act: Callable[[], object]) -> DeviceError:
     """Return the error that an act raises."""
     with pytest.raises(DeviceError) as caught:

@@ -103,7 +103,7 @@ def test_a_controller_without_the_program_lacks_it(time: WireTime) -> None:
 
 def test_a_host_that_answers_is_a_candidate(bed: AnyBed) -> None:
     kind, port = type(bed.make()), bed.peer.server.port
-    assert isinstance(kind, Discovers)
+    assert issubclass(kind, Discovers)
     (found,) = kind.discover({"host": "127.0.0.1", "port": port})
     expected = {"host": "127.0.0.1", "port": port, "serial": 472911}
     assert found.options == expected | {"model": "#KR210R2700_2 C4 FLR"}

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.device_errors import ProtocolError
 from drivers.kuka import krl
-from drivers.kuka.krl import ProtocolError
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers import supervision
+from drivers.device_errors import ProtocolError
 from drivers.kuka import robot_c3 as c3
-from drivers.kuka.robot_c3 import C3Connection, ProtocolError
+from drivers.kuka.robot_c3 import C3Connection
 from hilcell.ports import DeviceError, Stopped
 from tests.drivers.peers import Server, WireTime, scripted, wire_time
 

@@ -32,7 +32,7 @@ from hilcell.ports import (
     Tracker,
 )
 from tests.drivers.leica.geocom_peer import GeocomPeer
-from tests.drivers.peers import Bed, WireTime, in_thread, kind, refusal
+from tests.drivers.peers import Bed, WireTime, always, in_thread, kind, refusal
 
 pytestmark = pytest.mark.waits
 
@@ -694,7 +694,7 @@ def test_it_lists_its_abilities_and_changes_nothing(
 ) -> None:
     before = dict(bed.peer.settings)
     for rpc, answer in ({5035: "0,300,28"} | lie).items():
-        bed.peer.answers[rpc] = lambda _, answer=answer: answer
+        bed.peer.answers[rpc] = always(answer)
     inspects: Inspects = bed.make(serial="884321")
     found = {each.feature: each for each in inspects.inspect()}
     assert (found[feature].state, found[feature].needed) == (state, needed)

@@ -30,7 +30,7 @@ from hilcell.ports import (
     Streams,
     Tracker,
 )
-from tests.drivers.peers import Bed, WireTime, in_thread, kind, refusal, wire_time
+from tests.drivers.peers import Bed, WireTime, always, in_thread, kind, refusal, wire_time
 from tests.drivers.spatialanalyzer.t2sa_peer import POINTS, Answer, T2saPeer
 
 PLACE = np.array([4010.0, -2990.0, 5.0])
@@ -555,7 +555,7 @@ def test_it_lists_its_abilities_and_changes_nothing(
     bed: T2saBed, lie: dict[str, str], feature: str, state: str, needed: str
 ) -> None:
     for command, answer in lie.items():
-        bed.peer.answers[command] = lambda _, answer=answer: answer
+        bed.peer.answers[command] = always(answer)
     inspects: Inspects = bed.make()
     found = {each.feature: each for each in inspects.inspect()}
     assert (found[feature].state, found[feature].needed) == (state, needed)

@@ -40,8 +40,9 @@ def server() -> Iterator[UrServer]:
 
 
 def robot_at(address: dict[str, Any]) -> UrRtdeRobot:
-    own = {"smr_mm": LAB.robot.smr_mm, "joint": LAB.robot.joint}
-    return UrRtdeRobot(UrRtdeRobot.Options(**address, **own), WallClock(threading.Event()))
+    robot = LAB.robot
+    options = UrRtdeRobot.Options(smr_mm=robot.smr_mm, joint=robot.joint, **address)
+    return UrRtdeRobot(options, WallClock(threading.Event()))
 
 
 def test_settings_are_stated_where_a_run_is_refused(server: UrServer) -> None:
