@@ -118,8 +118,8 @@ class FindTracker(_Proving):
                 session,
                 "reflector",
                 holds=False,
-                found=f"every reading is {best.shift_mm:+.2f} mm off along its beam: reflectors of "
-                f"{reflectors_of(best.shift_mm)}",
+                found=f"the nests' distances need {best.shift_mm:+.2f} mm in every reading along "
+                f"its beam: reflectors of {reflectors_of(best.shift_mm)}",
                 expected=f"{session.cell.tracker.reflector}; seat these, or correct "
                 "tracker.reflector, and repeat the step",
             )

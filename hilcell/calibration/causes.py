@@ -156,7 +156,7 @@ class Differences(msgspec.Struct, frozen=True):
         count, explained = self.difference_mm.size, self._explained(arm, noticed_by)
         risk = RISK / len(explained)
         limits = {
-            k: f_quantile(1.0 - risk, k, self.freedom)
+            k: SPREAD * f_quantile(1.0 - risk, k, self.freedom)
             for k in {each.parameters for each in explained}
         }
         tests = [(self._chi2 / count, SPREAD * f_quantile(1.0 - RISK, count, self.freedom))]
