@@ -43,8 +43,9 @@ def case(seed: int) -> Case:
         with unknown_hall(Path(name) / "hall", seed) as hall:
             found = commissioned(hall, file)
             cell = calibrated(file) if found.done.returncode == 0 else None
-        progress(f"  seed {seed}: exit {found.done.returncode}")
-        return Case(seed, found, cell)
+        done = Case(seed, found, cell)
+        progress(f"  seed {seed}: {'; '.join(done.problems) or 'ready'}")
+        return done
 
 
 def report(cases: Iterable[Case]) -> bool:
