@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from threading import Event
 from typing import Any
 
@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 
 from drivers.canopen.rail import CanopenRail
+from drivers.canopen.slcan_bus import SlcanBus
 from fakes.canopen.rail_device import RailDevice
+from fakes.canopen.slcan_gateway import SlcanGateway
 from fakes.in_process import EventClock
 from hilcell.clock import WallClock
 from hilcell.ports import AfterLoss, DeviceError
 from tests.drivers.canopen.test_units_of_the_drive import PACE, SlowClock
-from tests.drivers.peers import refusal
+from tests.drivers.peers import refusal, soon
 from tests.fakes.rail_bench import Bench, served
 
 MOTOR: dict[str, Any] = {"motor_mm_s": 500.0, "motor_mm_s2": 2000.0}
@@ -43,13 +45,47 @@ def options_of(bench: Bench, **options: Any) -> CanopenRail.Options:
     return CanopenRail.Options(**(values | options))
 
 
+class SentClock(EventClock):
+    """A stepped clock: time passes once the peer has taken each frame that was sent before."""
+
+    def __init__(self, bench: Bench) -> None:
+        super().__init__(bench.server._time)
+        self.sent = self.taken = 0
+
+    @contextmanager
+    def counting(self) -> Iterator[None]:
+        with pytest.MonkeyPatch.context() as patch:
+            send, transmit = SlcanBus.send, SlcanGateway._transmit
+
+            def sent(bus: SlcanBus, *frame: Any) -> None:
+                self.sent += 1
+                send(bus, *frame)
+
+            def taken(gateway: SlcanGateway, line: bytes) -> None:
+                transmit(gateway, line)
+                self.taken += 1
+
+            patch.setattr(SlcanBus, "send", sent)
+            patch.setattr(SlcanGateway, "_transmit", taken)
+            yield
+
+    def wait(self, duration_s: float) -> None:
+        before = self.sent
+        soon(lambda: self.taken >= before)
+        super().wait(duration_s)
+
+
 @contextmanager
 def connected(
     device: RailDevice, *, paced: bool = False, **options: Any
 ) -> Iterator[tuple[CanopenRail, Bench]]:
     """Connect a rail in stepped time, or paced where the wire's own delays count."""
-    with served(device=device, **({"speed": PACE} if paced else {})) as bench:
-        clock = SlowClock() if paced else EventClock(bench.server._time)
+    with ExitStack() as at_end:
+        bench = at_end.enter_context(served(device=device, **({"speed": PACE} if paced else {})))
+        clock: EventClock | SlowClock = SlowClock()
+        if not paced:
+            clock = SentClock(bench)
+            at_end.enter_context(clock.counting())
         with closing(CanopenRail(options_of(bench, **options), clock)) as rail:
             rail.connect()
             yield rail, bench
