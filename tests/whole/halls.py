@@ -20,6 +20,9 @@ import tomlkit
 from scipy.spatial.transform import Rotation
 
 from hilcell.cell.file import Cell, load_cell
+from hilcell.cell.settings import convert
+from hilcell.cell.surroundings import KeepOut, Surroundings
+from hilcell.journal.runs import read_log, read_records
 from procedures.commission_places import AIM_S
 from tests.whole.announced import unannounced
 from tests.whole.bench import HILCELL, Simulation, command, events, hilcell, sim_command
@@ -205,6 +208,22 @@ def calibrated(file: Path) -> Calibrated:
     if prepared.returncode or not list(out.glob("*.src")):
         problems.append(f"prepare {prepared.returncode}: {last_words(prepared.stderr)}")
     return Calibrated(float(said[1]), float(said[2]), problems)
+
+
+def least_clearance_mm(hall: Hall, run: Path) -> float:
+    """Return how near the arm came to what really stands in a hall, where its motions ended."""
+    cell = read_log(run).cell
+    orders = [
+        record.body
+        for record in read_records(run)
+        if record.kind == "intent" and {"joints_deg", "strip_mm"} <= record.body.keys()
+    ]
+    postures = np.array([[each["strip_mm"], *np.radians(each["joints_deg"])] for each in orders])
+    volumes = [convert(each, KeepOut, "volume") for each in hall.truth()["cell"]["keep_out"]]
+    envelope = cell.robot.envelope
+    assert envelope is not None
+    true = Surroundings(cell.robot.arm(), envelope, cell.layout, volumes)
+    return min(true.least_mm(postures).values())
 
 
 def holes(cell: Cell, path: Path) -> Path:

@@ -21,12 +21,14 @@ from tests.whole.halls import (
     commission,
     commissioned,
     holes,
+    least_clearance_mm,
     unknown_hall,
 )
 from tests.whole.trapped import TRAPPED, Trapped, trapped
 
 PAGE = (Path(__file__).parents[2] / "docs/commissioning.md").read_text("utf-8")
 MOST_STEPS = 12
+CLEAR_MM = 50.0
 pytestmark = pytest.mark.process
 
 
@@ -87,6 +89,7 @@ def test_a_hall_is_commissioned_and_calibrated(seed: int, tmp_path: Path) -> Non
     with unknown_hall(tmp_path / "hall", seed) as hall:
         assert commissioned(hall, tmp_path / "mycell.toml").problems == []
         assert calibrated(tmp_path / "mycell.toml").problems == []
+        assert least_clearance_mm(hall, tmp_path / "runs" / "first") > CLEAR_MM
 
 
 @pytest.mark.nightly
