@@ -255,9 +255,12 @@ def sheet_of(
         rail_bed_mm=(1000.0, 150.0),
         plate_mm=(900.0, 900.0),
     )
-    tables = {"rail": cell.rail, "robot": cell.robot, "tracker": cell.tracker}
     return Sheet(
-        drivers={table: each.driver for table, each in tables.items()},
+        drivers={
+            "rail": cell.rail.driver,
+            "robot": cell.robot.driver,
+            "tracker": cell.tracker.driver,
+        },
         addresses=dict(addresses),
         control=control,
         robot=cell.robot.name,

@@ -13,7 +13,7 @@ import geocompy.geo
 import numpy as np
 import pytest
 import serial
-from geocompy.communication import open_serial, open_socket
+from geocompy.communication import Connection, open_serial, open_socket
 from geocompy.geo import GeoCom
 from geocompy.geo.gctypes import GeoComCode
 
@@ -195,7 +195,7 @@ def peer(either: Station, monkeypatch: pytest.MonkeyPatch) -> Iterator[GeoCom]:
     monkeypatch.setattr(geocompy, "communication", SimpleNamespace(sleep=lambda _s: None))
     if "://" in either.channel:
         host, _, port = either.channel.rpartition("/")[2].partition(":")
-        wire = open_socket(host, int(port), "tcp", timeout=600)
+        wire: Connection = open_socket(host, int(port), "tcp", timeout=600)
     else:
         wire = open_serial(either.channel, speed=115200, timeout=600)
     with contextlib.closing(wire):
