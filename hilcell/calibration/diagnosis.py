@@ -625,8 +625,7 @@ class TargetDeviations(NamedTuple):
             R = calibration.base(name)[:3, :3]
             J = zero_columns(arm, commanded_rad(validated.points))
             off_mm, freedom = error_mm - error_mm.mean(axis=0), float(bounds.freedom.min())
-            columns = R @ J[:, :, :LARGE_AXES]
-            parts.append(cls(off_mm, bounds.covariance_mm2, columns, freedom))
+            parts.append(cls(off_mm, bounds.covariance_mm2, R @ J[:, :, :LARGE_AXES], freedom))
         if not parts:
             return None
         offs_mm, covariances_mm2, columns, freedoms = zip(*parts, strict=True)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import tomlkit
 import tomlkit.exceptions
@@ -121,7 +121,7 @@ def _item(value: object, *, inline: bool) -> Item:
             return rows.multiline(True)
         case [Mapping(), *_]:
             tables = tomlkit.aot()
-            for each in value:
+            for each in cast("Sequence[Mapping[str, object]]", value):
                 tables.append(_flat(each))
             return tables
         case Sequence() if not isinstance(value, str):

@@ -5,11 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hilcell.calibration.from_run import (
-    ORIENTATION_TOLERANCE_DEG,
-    Validity,
-    orientation_tolerance_deg,
-)
+from hilcell.calibration.file import Validity
+from hilcell.calibration.from_run import ORIENTATION_TOLERANCE_DEG, orientation_tolerance_deg
 from hilcell.cell.file import Cell, load_cell
 from hilcell.geometry.frames import from_zyx, matrix, to_rotvec, turned_deg
 from hilcell.geometry.kinematics import forward

@@ -14,7 +14,7 @@ from hilcell.geometry.frames import apply, inverse, unit
 from hilcell.ports import Array, NoReading, TrackerReading
 from hilcell.run.cell_session import CellSession
 from procedures.world_frame import WorldFrame
-from tests.hilcell.run.bed import CELL, PLAN, Bed, Live, until
+from tests.hilcell.run.bed import CELL, PLAN, Bed, Live
 from tests.hilcell.run.rig import DeskTracker, Points, procedure
 from tests.procedures.results import result_of
 
@@ -144,7 +144,7 @@ def test_a_place_that_was_taken_is_the_expected_one_from_then_on(tmp_path: Path)
     with Live(bed, FRAME) as live:
         for taken in range(len(NAMES)):
             live.until("state", "suspended")
-            until(lambda taken=taken: live.status("points") == taken)
+            live.until("points", taken)
             assert live.runner.answer("wider") == ""
     assert live.code == 0, bed.log().fault
     assert tracker.asked == ["search 300"] * len(NAMES)  # each once, though F1 is measured again
