@@ -9,8 +9,6 @@ from pathlib import Path
 from queue import Queue
 
 from hilcell.atomic_files import check_output, write_whole
-from hilcell.cell.settings import SettingsError
-from hilcell.cell.source import built_in_cells
 from hilcell.commands.console import print_message, print_table
 from hilcell.commands.run_output import ProgressOutput, print_end
 from hilcell.commands.signatures import Commission
@@ -18,7 +16,13 @@ from hilcell.commission.dialogue import TypedDialogue
 from hilcell.commission.page import CommissioningPage, page_html, page_path
 from hilcell.commission.record import record_path
 from hilcell.commission.sequence import Step
-from hilcell.commission.steps import Commissioning, StepEnded, standing, steps_to_perform
+from hilcell.commission.steps import (
+    Commissioning,
+    StepEnded,
+    refuse_built_in,
+    standing,
+    steps_to_perform,
+)
 from hilcell.errors import EXIT_OK, EXIT_OUT_OF_TOLERANCE, HilcellError
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
@@ -34,9 +38,7 @@ MOST_LINES = 1000  # typed ahead
 
 
 def commission(args: Commission) -> int:
-    if str(args.cell) in built_in_cells():
-        problem = "it is a built-in cell; name a file of your own, such as mycell.toml"
-        raise SettingsError(str(args.cell), [problem])
+    refuse_built_in(args.cell)
     if args.list:
         return _list(args.cell)
     if args.report:

@@ -14,7 +14,7 @@ import msgspec
 from msgspec import Struct, field
 
 from hilcell.atomic_files import write_whole
-from hilcell.cell.settings import SettingsError, read_file
+from hilcell.cell.settings import SettingsError, read_bytes, unreadable
 from hilcell.commission.cell_text import CellText
 from hilcell.commission.sequence import NAMES, steps_of
 from hilcell.decoding import Json, decoded
@@ -77,10 +77,12 @@ class Commissioned(Struct, kw_only=True):
         Raises `SettingsError` for one that is damaged, of another cell, or has an unknown step.
         """
         path = record_path(cell)
-        if not path.exists():
-            return cls()
         try:
-            found = decoded(read_file(path), cls)
+            found = decoded(read_bytes(path), cls)
+        except FileNotFoundError:
+            return cls()
+        except OSError as error:
+            raise unreadable(str(path), error) from error
         except msgspec.DecodeError as error:
             raise SettingsError(str(path), [f"damaged: {error}; {RESTORE}"]) from error
         unknown = sorted({each.step for each in found.steps} - {*NAMES})

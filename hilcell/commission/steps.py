@@ -17,6 +17,7 @@ from hilcell.atomic_files import write_whole
 from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
+from hilcell.cell.source import built_in_cells
 from hilcell.commission.cell_text import CellText, shown
 from hilcell.commission.dialogue import Dialogue
 from hilcell.commission.first_steps import WhichDevices, ask_the_person, what_devices_can
@@ -253,6 +254,13 @@ def check_proved(path: Path) -> None:
             f"this file may be assumed; go on with `hilcell commission {path}`",
             code="HC-C41",
         )
+
+
+def refuse_built_in(path: Path) -> None:
+    """Raise `SettingsError` for the name of a built-in cell: it is no file to be written."""
+    if str(path) in built_in_cells():
+        problem = "it is a built-in cell; name a file of your own, such as mycell.toml"
+        raise SettingsError(str(path), [problem])
 
 
 def steps_to_perform(path: Path, first: str, only: str) -> Sequence[Step]:

@@ -13,7 +13,13 @@ from hilcell.commission.cell_text import CellText
 from hilcell.commission.dialogue import Dialogue, Question
 from hilcell.commission.record import Check, Commissioned, StepRecord, StepStatus
 from hilcell.commission.sequence import steps_of
-from hilcell.commission.steps import Commissioning, StepEnded, standing, steps_to_perform
+from hilcell.commission.steps import (
+    Commissioning,
+    StepEnded,
+    refuse_built_in,
+    standing,
+    steps_to_perform,
+)
 from hilcell.errors import HilcellError
 from hilcell.journal.log import Log
 from hilcell.journal.runs import new_run, read_log
@@ -66,6 +72,7 @@ class Work(Dialogue):
     def perform(self, first: str, only: str) -> None:
         """Perform steps to their end; the outcome has each refusal."""
         try:
+            refuse_built_in(self.path)
             steps = steps_to_perform(self.path, first, only)
             self.progress = Progress(self.path)
             Commissioning(self.path, self, self.operator, self._run).perform(steps)

@@ -113,6 +113,11 @@ def test_a_wrong_record_is_refused(record: str, why: str, tmp_path: Path) -> Non
         Commissioned.read(tmp_path / "hall.toml")
 
 
+def test_a_record_that_cannot_be_read_is_named() -> None:
+    with pytest.raises(SettingsError, match=r"cannot be read: File name too long"):
+        Commissioned.read(Path("a" * 245 + ".toml"))  # its record has too long a name
+
+
 def asked(*lines: str | None) -> tuple[TypedDialogue, list[str]]:
     queue: Queue[str | None] = Queue()
     for line in lines:

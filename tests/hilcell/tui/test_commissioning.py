@@ -211,6 +211,33 @@ def test_escape_ends_it_and_starts_nothing(tmp_path: Path) -> None:
     assert not app.engines
 
 
+@pytest.mark.parametrize(
+    ("key", "performed"),
+    [("u", ["controller"]), ("f", ["controller", "rail"]), ("enter", ["rail"])],
+)
+def test_one_step_is_repeated_and_others_follow(
+    key: str, performed: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found: list[str] = []
+
+    def made(path: Path, dialogue: Dialogue, *_: object) -> object:
+        return SimpleNamespace(perform=lambda steps: found.extend(each.name for each in steps))
+
+    async def act(app: Stage, pilot: Press) -> None:
+        await press(pilot, "C")
+        app.screen.query_one("#cell_file", Input).value = str(file)
+        await until(pilot, lambda: "goes on with step rail" in text_of(app))
+        app.screen.query_one("#steps").focus()
+        await pilot.press("home", "down", "down", key)
+        await until(pilot, lambda: app.commissioning and not work_in(app).at_work)
+
+    monkeypatch.setattr(commissioning, "Commissioning", made)
+    file = proved(tmp_path / "hall.toml", *[step.name for step in STEPS[:3]])
+    run_app(act, size=SIZE)
+    assert found[: len(performed)] == performed
+    assert len(found) == 1 or key != "u"
+
+
 def test_a_stop_before_the_engine_starts_is_kept() -> None:
     started: list[Path] = []
     work = Work(Path("hall.toml"), "", RUNS, lambda folder, _: started.append(folder), print)  # type: ignore[arg-type, return-value]
