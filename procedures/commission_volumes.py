@@ -172,7 +172,8 @@ def least_clearances(cell: Cell, volumes: list[KeepOut]) -> dict[str, Least]:
     for where, postures in calibration_postures(cell):
         for name, clearance_mm in among.least_mm(postures).items():
             before = found.get(name)
-            if before is None or not clearance_mm >= before.clearance_mm:
+            nearer = before is None or clearance_mm < before.clearance_mm
+            if nearer or np.isnan(clearance_mm):
                 found[name] = Least(clearance_mm, where)
     return found
 
