@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.canopen.drive import Drive
 from drivers.canopen.rail import CanopenRail
 from drivers.canopen.slcan_bus import SlcanBus
 from fakes.canopen.rail_device import RailDevice
@@ -65,6 +66,7 @@ class SentClock(EventClock):
                 transmit(gateway, line)
                 self.taken += 1
 
+            patch.setattr(Drive, "STALL_S", 60.0)  # a deadline of the wire, in real time
             patch.setattr(SlcanBus, "send", sent)
             patch.setattr(SlcanGateway, "_transmit", taken)
             yield
