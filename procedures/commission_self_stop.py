@@ -26,7 +26,7 @@ SELF_STOP, RETURN = "self-stop", "return after the self-stop"
 
 def limit_mm(cell: Cell) -> float:
     """Return how far a slide may go after its last reading: timeout, lateness and ramp."""
-    coasts_mm = SPEED_MM_S * (self_stop_s(cell) + LATE_S)
+    coasts_mm = SPEED_MM_S * (self_stop_s(cell.rail.driver) + LATE_S)
     return coasts_mm + SPEED_MM_S**2 / (2.0 * cell.rail.acceleration_mm_s2) + NEAR_MM
 
 
@@ -53,11 +53,12 @@ class SelfStop(Step):
         if not cell.has_rail:
             return self.moves
         far_mm, may_mm = distance_mm(cell), limit_mm(cell)
+        timeout_s = self_stop_s(cell.rail.driver)
         return (
             f"the slide by {far_mm:.0f} mm towards the middle of its travel at "
             f"{SPEED_MM_S:g} mm/s: pull the rail's cable meanwhile, in the first half, and leave "
             "it out until the run asks for it. The slide must stop by itself within "
-            f"{may_mm:.0f} mm (the drive's timeout of {self_stop_s(cell):g} s, and its ramp); one "
+            f"{may_mm:.0f} mm (the drive's timeout of {timeout_s:g} s, and its ramp); one "
             f"that does not goes on to the end of the {far_mm:.0f} mm, and no command can stop it: "
             f"use the E-stop. Then back at {SPEED_MM_S:g} mm/s"
         )

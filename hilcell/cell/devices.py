@@ -162,11 +162,11 @@ def self_stopping_rail(rail: ports.Rail) -> ports.StopsItself:
     raise _no_self_stop()
 
 
-def self_stop_s(cell: Cell) -> float:
-    """Return the longest time from the PC's last sign until the rail brakes by itself; raises
+def self_stop_s(driver: str) -> float:
+    """Return the longest time from the PC's last sign until a rail brakes by itself; raises
     `DeviceRefused` where its driver cannot try it.
     """
-    stated = getattr(load_entry(GROUPS["rail"], cell.rail.driver), "own_stop_s", None)
+    stated = getattr(load_entry(GROUPS["rail"], driver), "own_stop_s", None)
     if not isinstance(stated, float):
         raise _no_self_stop()
     return stated

@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 
 from hilcell.atomic_files import write_whole
-from hilcell.cell.devices import load_entry
+from hilcell.cell.devices import load_entry, self_stop_s
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.cell.source import built_in_cells
@@ -24,7 +24,7 @@ from hilcell.commission.first_steps import WhichDevices, ask_the_person, what_de
 from hilcell.commission.page import page_html, page_path
 from hilcell.commission.record import Check, Commissioned, StepRecord
 from hilcell.commission.sequence import ABILITIES, LACKS, Step, steps_of
-from hilcell.errors import HilcellError
+from hilcell.errors import DeviceRefused, HilcellError
 from hilcell.identity import Identity
 from hilcell.journal.log import Log
 from hilcell.model.verdicts import Proved
@@ -102,6 +102,11 @@ class Commissioning:
         last = Commissioned.read(self.path).last(step.name)
         if not step.pulls or (last is not None and not last.holds):
             return False
+        try:
+            self_stop_s(str(CellText.read(self.path).get("rail.driver")))
+        except DeviceRefused as unable:
+            self.dialogue.say(f"  step {step.name} is not proved: {unable}")
+            return True
 
         def parse(answer: str) -> bool:
             if answer.lower() in ("y", "yes", NOT_NOW):

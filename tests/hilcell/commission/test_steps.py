@@ -81,8 +81,15 @@ def test_a_step_of_the_rail_is_a_run_of_the_rail(step: Step) -> None:
 LATER = NAMES.index("self-stop")
 
 
-def test_a_self_stop_that_is_put_off_hinders_nothing(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("driver", "words"),
+    [("canopen", "--only self-stop"), ("kuka-e1", "no `jog_until_lost`")],
+)
+def test_a_self_stop_that_is_put_off_hinders_nothing(
+    driver: str, words: str, tmp_path: Path
+) -> None:
     cell = proved(tmp_path / "hall.toml", *NAMES[:LATER])
+    cell.write_text(f'name = "hall"\n[rail]\ndriver = "{driver}"\n')
     said: list[str] = []
     lines: Queue[str | None] = Queue()
     for line in ("perhaps", "not now"):
@@ -93,7 +100,7 @@ def test_a_self_stop_that_is_put_off_hinders_nothing(tmp_path: Path) -> None:
 
     work = Commissioning(cell, TypedDialogue(lines, said.append), "Ada", run)
     assert work.perform(STEPS[LATER : LATER + 1])
-    assert f"hilcell commission {cell} --only self-stop" in said[-1]
+    assert words in said[-1]
     assert [step.name for step in steps_to_perform(cell, "", "")] == NAMES[LATER:]
     proved(cell, *NAMES[LATER + 1 :])
     check_proved(cell)
