@@ -39,10 +39,10 @@ class Home(Step):
     yields = "a referenced drive"
 
     def announced(self, cell: Cell) -> str:
-        safe = ", ".join(f"A{n} {deg:.1f}" for n, deg in enumerate(cell.robot.safe_deg, start=1))
-        robot = f"the robot from where it stands to its safe pose ({safe} deg)"
-        slide = f"the slide to its reference at {cell.rail.homing_mm_s:g} mm/s, if it has lost it"
-        return f"{robot}, then {slide}" if cell.has_rail else robot
+        """Every question has the robot's way to its safe pose."""
+        if not cell.has_rail:
+            return "nothing"
+        return f"the slide to its reference at {cell.rail.homing_mm_s:g} mm/s, if it has lost it"
 
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         return PlannedStep(self.name, 0, plan.park_s(cell) + plan.homing_s(cell))

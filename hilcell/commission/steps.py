@@ -221,11 +221,13 @@ def motions(cell: Cell, procedure: Procedure) -> str:
     moving = [f"  {words} (needs {needs})" for words, needs in moves if words != "nothing"]
     if not moving:
         return ""
+    safe = ", ".join(f"A{n} {deg:.1f}" for n, deg in enumerate(cell.robot.safe_deg, start=1))
     robot = f"the robot at {cell.robot.speed_percent:g} %"
     slide = f"the slide at {cell.rail.speed_mm_s:g} mm/s, " if cell.has_rail else ""
     return "\n".join(
         [
             "it moves, in sequence:",
+            f"  the robot to its safe pose ({safe} deg), unless it stands there",
             *moving,
             f"where no speed is given: {slide}{robot}",
             "is the cell clear, and somebody at the E-stop?",
