@@ -101,8 +101,9 @@ class RailJogs(Step):
     moves = (
         f"the slide by {', '.join(f'{jog.distance_mm:g}' for jog in JOGS)} mm towards the middle "
         f"of its travel, by {sum(jog.distance_mm for jog in JOGS):g} mm in all, and back, at "
-        f"{JOGS[0].speed_mm_s:g} to {JOGS[-1].speed_mm_s:g} mm/s; each motion is stopped at 1.2 "
-        "times its distance plus 3 mm"
+        f"{JOGS[0].speed_mm_s:g} to {JOGS[-1].speed_mm_s:g} mm/s, the first "
+        f"{JOGS[0].distance_mm:g} mm faster if the drive has another unit; each motion is stopped "
+        "at 1.2 times its distance plus 3 mm"
     )
     measures = "drive, strip, and the drive's own speed"
     yields = "signs, scales, speed unit, backlash and the stop of the rail"

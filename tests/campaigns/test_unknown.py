@@ -86,7 +86,8 @@ def test_an_announcement_is_read() -> None:
         (slide(27.0, 5.0, "rail"), ""),  # 1.2 times, and 3 mm
         (slide(27.1, 5.0, "rail"), "rail: slide moved by 27.100, announced 20"),
         (slide(20.0, 6.1, "rail"), "rail: slide moved at 6.100, at most 6.000"),
-        (slide(3.6, 5.0, "rail", 1.5), ""),
+        (slide(3.6, 90.0, "rail", 1.5), ""),  # the shortest jog, while no unit is proved
+        (slide(0.4, 266.0, "stations"), "stations: slide moved at 266.000, at most 265.000"),
         (slide(3.7, 5.0, "rail", 1.5), "rail: jog 0.5 mm moved 3.700 mm of +0.5 mm"),
         (slide(math.nan, 5.0, "rail"), "rail: slide moved by nan"),
         (slide(0.4, 1.0, "tracker"), "tracker: slide moved by 0.400, announced 0"),

@@ -18,7 +18,8 @@ AXES = [f"axis {n}" for n in range(1, 7)]
 REST_MM, REST_DEG = 0.3, 1e-3  # play when the brake closes
 AXIS_DEG = 0.02  # by which a controller overshoots a degree
 FASTER = 1.06  # largest share of the announced speed
-UNPROVED, OF_UNPROVED = 1.2, "rail"  # likewise in the step that proves scale and speed
+# Likewise in the step that proves scale and unit: there the shortest jog may have any speed.
+UNPROVED, OF_UNPROVED, SHORTEST_MM = 1.2, "rail", 0.5
 Event = dict[str, Any]
 Limits = Mapping[str, tuple[float, float]]
 
@@ -104,8 +105,10 @@ def unannounced(
         for name, each in moved.items():
             taken = [m for events in runs for m in within(each, events[0]["t"], events[-1]["t"])]
             bound = slide if name == SLIDE else axes.of_speed(limits[f"{name} speed"][1])
-            share = UNPROVED if step == OF_UNPROVED else FASTER
-            found = _beyond(name, taken, Bound(bound.far, share * bound.fast), limits)
+            share, least = FASTER, REST_MM if name == SLIDE else REST_DEG
+            if step == OF_UNPROVED and name == SLIDE:
+                share, least = UNPROVED, jog_bound_mm(SHORTEST_MM)
+            found = _beyond(name, taken, Bound(bound.far, share * bound.fast), limits, least)
             problems += [f"{step}: {name} {words}" for words in found]
         for events in runs:
             problems += [f"{step}: {words}" for words in _jogs(moved[SLIDE], events)]
@@ -149,7 +152,10 @@ def _outside(
             yield f"without a run: {name} moved by {excursion(alone):.3f} at {alone[0].began}"
 
 
-def _beyond(name: str, taken: Sequence[Motion], bound: Bound, limits: Limits) -> Iterator[str]:
+def _beyond(
+    name: str, taken: Sequence[Motion], bound: Bound, limits: Limits, least: float
+) -> Iterator[str]:
+    """Judge the motions of a step by its bound; ``least``: a shorter one may have any speed."""
     rest = REST_MM if name == SLIDE else REST_DEG
     over = jog_bound_mm(bound.far) if name == SLIDE else bound.far + AXIS_DEG
     low, high = limits[name]
@@ -159,7 +165,7 @@ def _beyond(name: str, taken: Sequence[Motion], bound: Bound, limits: Limits) ->
                 yield f"at {each.low:.3f} .. {each.high:.3f}, limits {low:g} .. {high:g}"
     elif not excursion(taken) <= (over if bound.far else rest):
         yield f"moved by {excursion(taken):.3f}, announced {bound.far:g}"
-    fastest = max((each.fastest for each in taken if each.high - each.low > rest), default=0.0)
+    fastest = max((each.fastest for each in taken if each.high - each.low > least), default=0.0)
     if not fastest <= bound.fast:
         yield f"moved at {fastest:.3f}, at most {bound.fast:.3f}"
 

@@ -263,7 +263,7 @@ def differences(file: Path, hall: Hall) -> list[str]:
     """Return what a cell file says differently from a hall, in words; none for a right one.
 
     Positions on the rail may have another zero and another direction than the truth has: frames are
-    compared where the slide stands now. Nests on the slide may have any names.
+    compared where the slide stands now. Nests may have any names: their places count.
     """
     cell, truth = load_cell(str(file)), hall.truth()
     device = truth["cell"]["simulation"]["sizes"]["rail_device"]
@@ -322,9 +322,14 @@ def _of_places(cell: Cell, truth: Mapping[str, Any], rail_mm: float) -> Iterator
         if not (apart_mm <= PLACE_MM and turned_deg <= TURN_DEG):
             yield f"{name}: {apart_mm:.2f} mm and {turned_deg:.3f} deg from the true one"
     places = truth["reflectors_mm"]
+    fixed = [
+        places[nest["name"]]
+        for table in ("floor", "bar")
+        for nest in truth["cell"]["layout"][table]
+    ]
     for nest in cell.layout.fixed_nests:
-        if not (apart_mm := math.dist(nest.xyz_mm, places[nest.name])) <= PLACE_MM:
-            yield f"nest {nest.name}: {apart_mm:.2f} mm from the true one"
+        if not (apart_mm := min(math.dist(nest.xyz_mm, each) for each in fixed)) <= PLACE_MM:
+            yield f"nest {nest.name}: {apart_mm:.2f} mm from the nearest on the floor"
     on_slide = [places[nest["name"]] for nest in truth["cell"]["layout"]["slide"]]
     for nest in cell.layout.slide:
         at_mm = (base @ [*nest.xyz_mm, 1.0])[:3]

@@ -74,7 +74,7 @@ def test_the_page_is_typed(tmp_path: Path) -> None:
 
 
 SEEDS = range(1, 21)
-QUICK = (3, 10)  # with the page's hall they are three in `make test`
+QUICK = (10, 14)  # with the page's hall they are three in `make test`
 
 
 @pytest.mark.parametrize("seed", QUICK)
