@@ -227,11 +227,14 @@ def least_clearance_mm(hall: Hall, run: Path) -> float:
 
 
 def holes(cell: Cell, path: Path) -> Path:
-    """Write a drawing of holes: a row in the cube at the first station, in {W}."""
+    """Write a drawing of holes: a row at the far side of the cube at the first station, in {W}.
+
+    So the safe pose, which is anywhere in a hall, is in front of the part.
+    """
     T = cell.layout.nominal_base(cell.reference.strip_mm) @ cell.grid.centre.matrix()
     rows = ["name,x_mm,y_mm,z_mm,nx,ny,nz"]
     for n, x_mm in enumerate((-100.0, 0.0, 100.0), start=1):
-        values = [*(T @ np.array([x_mm, 0.0, 0.0, 1.0]))[:3], *-T[:3, 2]]
+        values = [*(T @ np.array([x_mm, 0.0, 300.0, 1.0]))[:3], *-T[:3, 2]]
         rows.append(f"H{n}," + ",".join(f"{value:.4f}" for value in values))
     path.write_text("\n".join([*rows, ""]))
     return path
