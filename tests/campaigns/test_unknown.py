@@ -17,17 +17,20 @@ from tests.whole.trapped import TRAPPED
 
 SAID = """step 4 of 11, rail: signs first
 it moves, in sequence:
+  the robot to its safe pose (A1 1.0, A2 -90.0 deg), unless it stands there
   the slide by 0.5, 5 and 20 mm, and back, at 0.5 to 5 mm/s; each is stopped (needs 630 mm free)
   the slide to its reference, where the homing method has one (needs a rail)
 where no speed is given: the slide at 250 mm/s, the robot at 10 %
 is the cell clear?
 step 5 of 11, robot: each axis
 it moves, in sequence:
+  the robot to its safe pose (A1 1.0, A2 -90.0 deg), unless it stands there
   each axis alone by 1 deg at 1 %, then all axes by at most 15 deg (needs a robot)
 where no speed is given: the slide at 250 mm/s, the robot at 10 %
 step 6 of 11, tracker: the beam
 step 7 of 11, stations: by the strip
 it moves, in sequence:
+  the robot to its safe pose (A1 1.0, A2 -90.0 deg), unless it stands there
   the slide to every station (S1 -681 mm of the strip), the robot parked (needs nests)
 where no speed is given: the slide at 250 mm/s, the robot at 10 %
 """

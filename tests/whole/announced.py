@@ -55,7 +55,8 @@ class Bound:
 def announced(said: str) -> dict[str, tuple[Bound, Bound]]:
     """Return the bounds of slide and axes by step; nothing was announced for any other.
 
-    The halls' homing method leaves the slide where it is, so no motion to a reference is expected.
+    A hall's robot stands at its safe pose before each step, and its homing method leaves the slide
+    where it is: neither a way to the pose nor one to a reference is expected.
     """
     found = {}
     of_step = r"^step \d+ of \d+, (\S+): (.*?)(?=^step |\Z)"
@@ -64,7 +65,8 @@ def announced(said: str) -> dict[str, tuple[Bound, Bound]]:
         moves, _, usual = moves.partition("where no speed is given: ")
         usual = usual.partition("\n")[0]
         motions = re.sub(r"\(needs .*?\)$", "", moves, flags=re.MULTILINE)
-        clauses = [each for each in re.split(r";|, then |\n", motions) if "reference" not in each]
+        clauses = re.split(r";|, then |\n", motions)
+        clauses = [each for each in clauses if not re.search("reference|unless", each)]
         found[step] = (
             _bound(clauses, r"\bslide\b", "mm", r"([\d.]+) mm/s", usual),
             _bound(clauses, r"\b(?:robot|axis|axes)\b", "deg", r"([\d.]+) %", usual),
