@@ -59,7 +59,7 @@ class Meter(Mover):
                 said, facts = str(error), cause.facts()
                 self.add(NoReadingOf(key=key, tries=tries, reason=said, error=facts))
         not_there = "searched_mm" in failed.fields  # a reflector that was not found
-        unproven = not_there and place in self._unframed and not self.log.frames
+        unproven = not_there and place in self._unframed and not self.log.points
         if looked := where_looked(near_mm, failed):
             cause.found += f"; expected {looked}"
         self.ask(
