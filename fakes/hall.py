@@ -49,6 +49,18 @@ class Box(msgspec.Struct, frozen=True, kw_only=True):
         return f"{self.name},{self.on_slide},{ends}"
 
 
+class Hole(msgspec.Struct, frozen=True, kw_only=True):
+    """A hole of the part that stands in front of the slide, in {W}; the normal leaves the part."""
+
+    name: str
+    at_mm: tuple[float, float, float]
+    normal: tuple[float, float, float]
+
+    @property
+    def row(self) -> str:
+        return f"{self.name}," + ",".join(f"{each:.4f}" for each in (*self.at_mm, *self.normal))
+
+
 class Sheet(msgspec.Struct, frozen=True, kw_only=True):
     """A person's knowledge of a hall before anything is switched on; lengths mm."""
 
@@ -68,9 +80,10 @@ class Sheet(msgspec.Struct, frozen=True, kw_only=True):
     clear: ClearZones
     volumes: list[Box]
     teach: list[str]  # volumes whose corners a reflector reaches, and no tape
+    holes: list[Hole]
 
     def files(self) -> dict[str, str]:
-        """Return the sheet as files by name: to be read, to be computed with, and the drawing."""
+        """Return the sheet as files by name: to be read, to be computed with, and the lists."""
         drawing = ["name,x_mm,y_mm,z_mm"]
         drawing += [f"{n.name},{n.x_mm},{n.y_mm},{n.z_mm}" for n in [*self.floor, *self.bar]]
         ends = ",".join(f"{end}_{axis}_mm" for end in ("from", "to") for axis in "xyz")
@@ -81,6 +94,9 @@ class Sheet(msgspec.Struct, frozen=True, kw_only=True):
             "hall.json": f"{encoded}\n",
             "nests.csv": "\n".join([*drawing, ""]),
             "volumes.csv": "\n".join([*volumes, ""]),
+            "holes.csv": "\n".join(
+                ["name,x_mm,y_mm,z_mm,nx,ny,nz", *(each.row for each in self.holes), ""]
+            ),
         }
 
     def text(self) -> str:
@@ -120,6 +136,7 @@ class Sheet(msgspec.Struct, frozen=True, kw_only=True):
                 ),
                 f"  by tape in volumes.csv: {', '.join(each.name for each in self.volumes)}",
                 f"  to be taught with a reflector: {', '.join(self.teach)}",
+                f"Part before the slide, {len(self.holes)} holes in {{W}} by drawing: holes.csv",
                 "",
             ]
         )
@@ -276,7 +293,23 @@ def sheet_of(
         clear=clear,
         volumes=_by_tape(cell, clear, KeyedNoise(seed, "hall").generator("volumes")),
         teach=[] if cell.volumes is None else cell.volumes.teach,
+        holes=_part(cell, stands_mm),
     )
+
+
+def _part(cell: Cell, stands_mm: float) -> list[Hole]:
+    """Return a row of holes at the far side of the cube, where the slide stands.
+
+    So the safe pose, which is anywhere in a hall, is in front of the part.
+    """
+    T = cell.layout.nominal_base(stands_mm) @ cell.grid.centre.matrix()
+    nx, ny, nz = (-T[:3, 2]).tolist()
+    far_mm = cell.grid.size_mm[2] / 3.0
+    holes = []
+    for number, across_mm in enumerate((-100.0, 0.0, 100.0), start=1):
+        x_mm, y_mm, z_mm, _ = (T @ [across_mm, 0.0, far_mm, 1.0]).tolist()
+        holes.append(Hole(name=f"H{number}", at_mm=(x_mm, y_mm, z_mm), normal=(nx, ny, nz)))
+    return holes
 
 
 def _by_tape(cell: Cell, clear: ClearZones, rng: np.random.Generator) -> list[Box]:

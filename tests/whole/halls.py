@@ -200,8 +200,7 @@ def calibrated(file: Path) -> Calibrated:
     said = re.search(r"IN TOLERANCE.*mean ([\d.]+).*largest ([\d.]+)", ran.stdout + ran.stderr)
     if ran.returncode or said is None:
         return Calibrated(math.nan, math.nan, [f"run {ran.returncode}: {last_words(ran.stderr)}"])
-    drawing = holes(load_cell(str(file)), file.parent / "holes.csv")
-    out = file.parent / "monday"
+    drawing, out = file.parent / "hall" / "holes.csv", file.parent / "monday"
     words = ("--cell", file, "--calibration", "first", "-o", out, *runs)
     prepared = hilcell("prepare", drawing, *words)
     problems = [*_unsound(file.parent / "runs")]
@@ -224,20 +223,6 @@ def least_clearance_mm(hall: Hall, run: Path) -> float:
     assert envelope is not None
     true = Surroundings(cell.robot.arm(), envelope, cell.layout, volumes)
     return min(true.least_mm(postures).values())
-
-
-def holes(cell: Cell, path: Path) -> Path:
-    """Write a drawing of holes: a row at the far side of the cube at the first station, in {W}.
-
-    So the safe pose, which is anywhere in a hall, is in front of the part.
-    """
-    T = cell.layout.nominal_base(cell.reference.strip_mm) @ cell.grid.centre.matrix()
-    rows = ["name,x_mm,y_mm,z_mm,nx,ny,nz"]
-    for n, x_mm in enumerate((-100.0, 0.0, 100.0), start=1):
-        values = [*(T @ np.array([x_mm, 0.0, 300.0, 1.0]))[:3], *-T[:3, 2]]
-        rows.append(f"H{n}," + ",".join(f"{value:.4f}" for value in values))
-    path.write_text("\n".join([*rows, ""]))
-    return path
 
 
 def last_words(said: str) -> str:
