@@ -151,7 +151,7 @@ class Commissioning:
         return [
             Check(
                 what=f"{ability.device}: {ability.feature}",
-                found=" ".join(filter(None, (ability.state, ability.note))),
+                found="; ".join(filter(None, (ability.state, ability.note))),
                 expected=ability.needed,
                 holds=ability.state != "has not" or ability.needed == "optional",
             )
