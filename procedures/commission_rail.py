@@ -96,7 +96,7 @@ class RailJogs(Step):
     name = "rail-jogs"
     needs = (
         "a robot parked clear of the slide, a slide free for "
-        f"{sum(jog.distance_mm for jog in JOGS):g} mm towards the middle"
+        f"{sum(jog.distance_mm for jog in JOGS):g} mm in that direction"
     )
     moves = (
         f"the slide by {', '.join(f'{jog.distance_mm:g}' for jog in JOGS)} mm towards the middle "
@@ -107,6 +107,13 @@ class RailJogs(Step):
     )
     measures = "drive, strip, and the drive's own speed"
     yields = "signs, scales, speed unit, backlash and the stop of the rail"
+
+    def announced(self, cell: Cell) -> str:
+        if not (cell.has_rail and cell.rail.is_unplaced):
+            return self.moves
+        return self.moves.replace(
+            "towards the middle of its travel", "one way, still unknown which"
+        )
 
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         seconds = sum(
@@ -255,8 +262,9 @@ class RailReference(Step):
             return
         if not session.rail_referenced():
             session.pause(
-                f"the slide drives to its reference at {session.cell.rail.homing_mm_s:g} mm/s, "
-                "which may be the end of its travel; clear the rail and stay at the E-stop"
+                "the drive takes its reference: with homing 35 or 37 the slide stays where it is, "
+                f"else it moves at {session.cell.rail.homing_mm_s:g} mm/s, perhaps to the end of "
+                "its travel; clear the rail and stay at the E-stop"
             )
             session.home_rail()
         rail, table, survey = session.devices.rail.read(), session.cell.rail, session.cell.survey

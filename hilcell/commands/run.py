@@ -37,11 +37,12 @@ UNASKED = "cannot ask for confirmation (not a terminal); the robot was not moved
 
 
 def run(args: Order) -> int:
+    if not args.dry_run:
+        refuse_unproved(args)
     plan = args.check(print_message)
     if args.dry_run:
         print_dry_run(plan.cell, plan.procedure, plan.steps, as_json=args.json)
         return 0
-    refuse_unproved(args)
     print_warnings(plan.steps)
     with NewEngine(args, plan, print_message) as engine:
         return _performed(engine, as_json=args.json)

@@ -161,9 +161,10 @@ def number(low: float, high: float, unit: str) -> Callable[[str], float]:
         try:
             value = float(answer)
         except ValueError:
-            raise ValueError(f"expected a number in {unit}, got {answer!r}") from None
+            unit_of = f" in {unit}" if unit else ""
+            raise ValueError(f"expected a number{unit_of}, got {answer!r}") from None
         if not low <= value <= high:
-            raise ValueError(f"expected {low:g} .. {high:g} {unit}, got {value:g}")
+            raise ValueError(f"expected {low:g} .. {high:g} {unit}".rstrip() + f", got {value:g}")
         return value
 
     return parse

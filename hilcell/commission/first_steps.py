@@ -78,7 +78,7 @@ class WhichDevices:
             known = "real" if any(self._text.get(table) for table in GROUPS) else ""
             address = known or self._dialogue.ask(
                 "real devices, or a simulated hall (HOST:PORT, as `hilcell sim` prints)?",
-                word("real or HOST:PORT"),
+                real_or_address,
                 REAL,
             )
             if address != REAL:
@@ -203,9 +203,13 @@ class WhichDevices:
         if self._text.get("rail") is None:
             return
         if self._text.get("rail.travel_min_mm") is None:
+            whole_mm = self._dialogue.ask(
+                "rail: its whole travel by tape, from end to end, mm",
+                number(200.0, DRAWING_MM, "mm"),
+            )
             room_mm = self._dialogue.ask(
                 "rail: distance by tape from the slide to the nearer end of its travel, mm",
-                number(100.0, DRAWING_MM, "mm"),
+                number(100.0, whole_mm / 2.0, "mm"),
             )
             write_travel(self._text, room_mm)
         if "homing" in option_names(load_entry("rails", str(self._text.get("rail.driver")))):
@@ -215,10 +219,14 @@ class WhichDevices:
                 lambda text: int(number(1, 37, "")(text)),
                 "35",
             )
-        self._once("rail.speed_mm_s", "rail: speed, mm/s", number(1.0, 1e4, "mm/s"), "250")
+        fastest_mm_s = 1000.0
         self._once(
-            "rail.acceleration_mm_s2", "rail: acceleration, mm/s2", number(1.0, 1e5, "mm/s2"),
-            "200",
+            "rail.speed_mm_s", "rail: largest speed of the slide, mm/s",
+            number(1.0, fastest_mm_s, "mm/s"), "250",
+        )  # fmt: skip
+        self._once(
+            "rail.acceleration_mm_s2", "rail: largest acceleration of the slide, mm/s2",
+            number(1.0, 1e4, "mm/s2"), "200",
         )  # fmt: skip
 
     def _nests(self) -> None:
@@ -280,6 +288,14 @@ class WhichDevices:
         """Ask for a value unless the file has it."""
         if self._text.get(path) is None:
             self._text.set(path, self._dialogue.ask(question, parse, default))
+
+
+def real_or_address(answer: str) -> str:
+    """Return "real", or the HOST:PORT of a simulated hall; raises `ValueError`."""
+    host, _, port = answer.rpartition(":")
+    if answer == REAL or (host and port.isdecimal()):
+        return answer
+    raise ValueError(f"expected {REAL}, or HOST:PORT, got {answer!r}")
 
 
 def options_of(kind: type) -> type[msgspec.Struct]:

@@ -23,6 +23,7 @@ NEVER_PROVED = (
     "Volumes that nobody has listed or shown; people, cables, the arm against itself.",
     "That the robot stops by itself when the PC dies: pull its cable (docs/hardware.md).",
     "Speed above that of the steps.",
+    "Certified lengths: scale bars that the cell file does not have.",
     "The travel beyond the one by tape.",
     "Kinematics of a robot that hilcell does not know.",
 )

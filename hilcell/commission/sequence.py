@@ -31,6 +31,21 @@ def stands_clear(cell: Cell) -> str:
     return f"the present pose of the robot becomes its safe pose; is it clear of {along}?"
 
 
+def has_room(cell: Cell) -> str:
+    """Return the question before the first motions of a slide whose place on its travel is open.
+
+    An attempt that was broken off may have left it elsewhere than where the tape began.
+    """
+    if not (cell.has_rail and cell.rail.is_unplaced):
+        return ""
+    room_mm = (cell.rail.travel_max_mm - cell.rail.travel_min_mm) / 2.0
+    return (
+        f"the travel becomes {room_mm:.0f} mm each way from where the slide stands now: is it free "
+        "for that, both ways? If not, delete rail.travel_min_mm from the cell file, and measure "
+        "again by --only devices"
+    )
+
+
 def needs_no_volumes(cell: Cell) -> str:
     """Return the question to who has given no volumes."""
     if cell.keep_out or cell.volumes is not None:
@@ -54,6 +69,7 @@ STEPS = (
         "rail",
         "signs, scales, speed and stop of the rail, small first",
         "commission-rail",
+        has_room,
         of_rail=True,
     ),
     Step(

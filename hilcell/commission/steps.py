@@ -261,6 +261,13 @@ def check_proved(path: Path) -> None:
             f"this file may be assumed; go on with `hilcell commission {path}`",
             code="HC-C41",
         )
+    changed = [key for step in steps_of(text) for key in record.changed(step.name, text)]
+    if record.steps and changed:
+        raise HilcellError(
+            f"{path}: {', '.join(changed)} differ from what commissioning has proved; set them "
+            f"back, or prove the new values with `hilcell commission {path}`",
+            code="HC-C41",
+        )
 
 
 def refuse_built_in(path: Path) -> None:
@@ -278,9 +285,13 @@ def steps_to_perform(path: Path, first: str, only: str) -> Sequence[Step]:
     """
     steps, open_steps = steps_of(CellText.read(path)), unproved(path)
     name, names = only or first, [step.name for step in steps]
+    if only and first:
+        raise SettingsError("step", ["expected --only or --from, got both"])
+    if not (name or open_steps):
+        return []
     if name and name not in names:
         raise SettingsError("step", [f"unknown step {name!r}; known: {', '.join(names)}"])
-    begin = names.index(name or (open_steps[0] if open_steps else names[-1]))
+    begin = names.index(name or open_steps[0])
     before_it = steps[begin - 1]
     if not name and before_it.pulls and Commissioned.read(path).last(before_it.name) is None:
         begin -= 1  # it was put off

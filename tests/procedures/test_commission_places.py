@@ -11,7 +11,7 @@ import pytest
 from hilcell.geometry.frames import apply, inverse, unit
 from hilcell.model.events import PlaceSeen
 from hilcell.model.verdicts import Proved
-from hilcell.ports import Array, TrackerReading
+from hilcell.ports import Array, DeviceError, TrackerReading
 from procedures.commission_places import COMMISSION_SLIDE, COMMISSION_TRACKER
 from tests.hilcell.run.bed import CELL, Bed
 from tests.hilcell.run.test_places_taken import NOMINAL_MM, HallTracker
@@ -61,6 +61,18 @@ def test_another_reflector_is_named_and_no_pose_is_written(
         assert f"reflectors of {found} where the tracker is set to 1.5 in" in (
             by_name["reflector"].found
         )
+
+
+def test_a_tracker_that_is_gone_is_not_waited_for(tmp_path: Path) -> None:
+    class Gone(Person):
+        def measure_aimed(self, reflector: str, samples: int) -> TrackerReading:
+            raise DeviceError("HC-T02", "Tracker", "measure", "the device closed the connection")
+
+    bed = Bed(tmp_path, unattended=False)
+    bed.devices = replace(bed.devices, tracker=Gone(bed.tracker, apply(T_L_W, NOMINAL_MM)))
+    assert bed.run(COMMISSION_TRACKER) == 3
+    end = bed.log().life[-1].change
+    assert end.error["code"] == "HC-T02"
 
 
 @pytest.mark.parametrize(

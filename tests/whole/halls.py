@@ -108,6 +108,7 @@ def answers(sheet: Mapping[str, Any], folder: Path, teach: str = "none") -> str:
         sheet["control"],
         *(sheet["drivers"][table] for table in ("robot", "rail", "tracker")),
         sheet["reflector"],
+        sheet["travel_mm"],
         sheet["room_mm"],
         "35",
         sheet["speed_mm_s"],

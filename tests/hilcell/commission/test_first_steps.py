@@ -10,7 +10,13 @@ import pytest
 from hilcell.cell.settings import SettingsError
 from hilcell.commission.cell_text import CellText
 from hilcell.commission.dialogue import TypedDialogue
-from hilcell.commission.first_steps import WhichDevices, radii, taught_names, volume_list
+from hilcell.commission.first_steps import (
+    WhichDevices,
+    radii,
+    real_or_address,
+    taught_names,
+    volume_list,
+)
 from hilcell.errors import HilcellError
 from hilcell.ports import Candidate, Identity
 
@@ -35,6 +41,14 @@ def rail(listed: list[Candidate], by_channel: Mapping[str, Candidate]) -> type:
             return [] if found is None else [found]
 
     return Rail
+
+
+@pytest.mark.parametrize("answer", ["banana", "", "1.2.3.4", ":29543", "host:"])
+def test_a_hall_s_address_is_asked_for_again(answer: str) -> None:
+    with pytest.raises(ValueError, match="expected real, or HOST:PORT, got"):
+        real_or_address(answer)
+    assert real_or_address("real") == "real"
+    assert real_or_address("127.0.0.1:29543") == "127.0.0.1:29543"
 
 
 BUSES = {"can0": BUS, "/dev/usb-1": OPENED}

@@ -5,14 +5,15 @@ from queue import Queue
 from typing import NoReturn
 
 import pytest
+from msgspec.structs import replace
 
 from hilcell.cell.devices import load_entry
-from hilcell.cell.file import load_cell
+from hilcell.cell.file import UNPLACED_MM, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.commission.dialogue import TypedDialogue
 from hilcell.commission.first_steps import drawing
 from hilcell.commission.page import CommissioningPage
-from hilcell.commission.record import Commissioned, StepRecord
+from hilcell.commission.record import Check, Commissioned, StepRecord
 from hilcell.commission.sequence import NAMES, STEPS, Step
 from hilcell.commission.steps import (
     Commissioning,
@@ -62,6 +63,42 @@ def test_a_draft_of_assumed_places_drives_nothing_else(tmp_path: Path) -> None:
         check_proved(draft)
     check_proved(proved(tmp_path / "hall.toml", *NAMES))
     assert unproved(tmp_path / "hall.toml") == []
+
+
+def test_a_value_that_was_edited_since_its_proof_drives_nothing(tmp_path: Path) -> None:
+    cell = proved(tmp_path / "hall.toml", *NAMES)
+    signs = Check(what="", found="", expected="", holds=True, values={"rail.scale": -1.0})
+    step = StepRecord(step="rail", ended="", operator="", holds=True, checks=[signs])
+    Commissioned.read(cell).add(step, cell)
+    cell.write_text('name = "hall"\n[rail]\nscale = -1.0\n')
+    check_proved(cell)
+    cell.write_text('name = "hall"\n[rail]\nscale = 1.0\n')
+    with pytest.raises(HilcellError, match=r"rail\.scale differ from what commissioning has"):
+        check_proved(cell)
+    assert [step.name for step in steps_to_perform(cell, "", "")] == NAMES[NAMES.index("rail") :]
+
+
+def test_nothing_is_left_once_all_is_proved(tmp_path: Path) -> None:
+    cell = proved(tmp_path / "hall.toml", *NAMES)
+    assert steps_to_perform(cell, "", "") == []
+    with pytest.raises(SettingsError, match="expected --only or --from, got both"):
+        steps_to_perform(cell, "base", "rail")
+
+
+def test_the_room_of_a_slide_is_asked_for_until_its_travel_has_a_place() -> None:
+    rail = next(step for step in STEPS if step.name == "rail")
+    cell = load_cell("paper")
+    assert rail.confirms(cell) == ""
+    draft = replace(
+        cell,
+        rail=replace(cell.rail, travel_min_mm=UNPLACED_MM - 885.0, travel_max_mm=UNPLACED_MM + 885),
+        station=[
+            replace(each, rail_mm=UNPLACED_MM + n, strip_mm=UNPLACED_MM + n)
+            for n, each in enumerate(cell.station)
+        ],
+        survey=replace(cell.survey, from_mm=UNPLACED_MM, to_mm=UNPLACED_MM + 300.0),
+    )
+    assert "885 mm each way" in rail.confirms(draft)
 
 
 def test_a_cell_without_a_rail_has_no_steps_of_one(tmp_path: Path) -> None:
