@@ -52,8 +52,8 @@ def refuse_unproved(args: Order) -> None:
     """Raise `HilcellError` for a cell file with assumed places, and for a step of commissioning
     before which another is not proved.
     """
-    if args.cell in built_in_cells():
-        return
+    if args.cell in built_in_cells() or not Path(args.cell).is_file():
+        return  # a file that is missing is refused where it is read
     from hilcell.commission.sequence import STEPS
     from hilcell.commission.steps import check_proved, steps_to_perform  # edits cell files
 

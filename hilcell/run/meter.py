@@ -29,8 +29,6 @@ from hilcell.run.interlocks import check_held, check_still, check_strip, reading
 from hilcell.run.mover import Mover
 from hilcell.run.prompts import FLANGE, WIDER_MM, Prompt, Verification, where_looked
 
-LINK_LOST = frozenset({"HC-T01", "HC-T02", "HC-T34"})  # of a tracker that no longer answers
-
 
 class Meter(Mover):
     """Measures at the present pose and journals the point; prompts where the tracker sees nothing
@@ -287,9 +285,7 @@ class Meter(Mover):
             self.clock.wait(self.AIM_S)
             try:
                 reading = tracker.measure_aimed(reflector, 1)
-            except DeviceError as error:
-                if error.code in LINK_LOST:
-                    raise
+            except NoReading as error:  # all else, as a lost link, ends the wait
                 return Verification.failed(error, self.clock.pc_s())
             why = refusal(reading.xyz_mm)
             refused.append(why)
