@@ -13,7 +13,7 @@ from hilcell.journal.runs import read_log, run_folders
 from hilcell.tui.app import HilcellApp
 from hilcell.tui.screens.commissioning import CommissionScreen
 from tests.whole.bench import LOOK_S
-from tests.whole.commissioner import begun, commissioning, hall, perform, shown
+from tests.whole.commissioner import answer, begun, commissioning, hall, perform, shown
 
 pytestmark = pytest.mark.process
 FIRST = NAMES.index("rail") + 1  # steps of `make test`
@@ -69,7 +69,13 @@ def test_escape_stops_a_step_that_moves(tmp_path: Path) -> None:
             assert isinstance(app, HilcellApp)
             work = await begun(pilot)
             await perform(pilot, work, lines, "rail")
-            await pilot.press("enter")
+            assert isinstance(app.screen, CommissionScreen)
+            room = app.screen._asked
+            assert room is not None
+            await answer(pilot, room, "")
+            while (moves := app.screen._asked) in (None, room):
+                await pilot.pause(LOOK_S)
+            await answer(pilot, moves, "")
             while not (app.live and app.view and app.view.state == "running"):
                 await pilot.pause(LOOK_S)
             await pilot.press("escape")
