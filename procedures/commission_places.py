@@ -190,9 +190,9 @@ class FindBase(_Proving):
     name = "find-base"
     needs = "the tracker's pose, a reflector on the flange, the robot at its safe pose"
     moves = (
-        f"axis 1 by {WIGGLE_DEG:g} deg and back at {WIGGLE_PERCENT:g} %; each axis by 1 and 8 deg, "
-        f"then all axes by at most {MORE_DEG:g} deg around the safe pose, and back to it, at "
-        f"{BASE_PERCENT:g} %"
+        f"axis 1 by {WIGGLE_DEG:g} deg and back at {WIGGLE_PERCENT:g} %; each axis by 1 and 8 deg "
+        f"at {BASE_PERCENT:g} %, then all axes by at most {MORE_DEG:g} deg around the safe pose, "
+        f"and back to it, at {BASE_PERCENT:g} %"
     )
     measures = "the reflector on the flange after each motion"
     yields = "the rail's direction, the base in {W}, the reflector on the flange"
