@@ -296,12 +296,12 @@ class Drive:
         planned_s = self.SLOWEST * abs(jog.distance_mm) / jog.speed_mm_s
         bounds = MotionLimits(planned_s, self.STALL_S + limits.windows.dwell_s, limits.window)
         at_rest = Standstill(replace(limits.windows, speed=math.inf))
-        acknowledged = False
+        acknowledged = arrived = False
         now = self.slide.poll(operation)
         jog.add(now, self.slide.now_s)
         self._image.control(Control.START, target)
         while True:
-            self._clock.wait(self.JOG_POLL_S)
+            self._clock.wait(self.POLL_S if arrived else self.JOG_POLL_S)
             now = self.slide.poll(operation)
             jog.add(now, self.slide.now_s)
             at_rest.add(now, self.slide.now_s)

@@ -211,6 +211,7 @@ def test_with_rescaled_options_drive_strip_and_speed_agree(
         began_mm = bench.rail.slide_mm()
         trace = rail.jog(30.0, bound_mm=40.0, speed_mm_s=20.0)
         assert trace.stopped_by == ""
+        assert np.diff(trace.taken_s)[-3:].min() >= Drive.POLL_S  # a busy PC gets through the dwell
         assert bench.rail.slide_mm() - began_mm == pytest.approx(30.0, abs=0.3)
         for gone_mm in (trace.drive_mm, trace.strip_mm):
             assert gone_mm[-1] - gone_mm[0] == pytest.approx(30.0, abs=0.3)
