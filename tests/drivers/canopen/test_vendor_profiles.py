@@ -18,6 +18,7 @@ from fakes.canopen.slave import Abort, Entry, SdoAbortError
 from fakes.in_process import EventClock
 from tests.drivers.canopen.can_peer import DRIVE, CanPeer, u32
 from tests.drivers.canopen.rail_bed import RailBed
+from tests.drivers.canopen.test_rail_jog import options_of
 from tests.drivers.peers import refusal
 from tests.fakes.rail_bench import Bench, served
 
@@ -75,16 +76,8 @@ def drive_of(make: VendorProfile) -> Iterator[Bench]:
 
 
 def rail_at(bench: Bench, **options: Any) -> CanopenRail:
-    values: dict[str, Any] = {
-        "channel": f"socket://127.0.0.1:{bench.server.port}",
-        "travel_min_mm": 0.0,
-        "travel_max_mm": 3000.0,
-        "speed_mm_s": 250.0,
-        "acceleration_mm_s2": 200.0,
-        "drive_product": 0,
-    }
-    rail_options = CanopenRail.Options(**(values | options))
-    return CanopenRail(rail_options, EventClock(bench.rail._time))
+    stated = options_of(bench, **({"drive_product": 0} | options))
+    return CanopenRail(stated, EventClock(bench.rail._time))
 
 
 EACH = pytest.mark.parametrize("make", PROFILES.values(), ids=PROFILES)

@@ -377,11 +377,15 @@ def test_connect_waits_for_an_earlier_sessions_motion(bed: RobotBed) -> None:
     assert bed.peer.variables["HC_ACK"] == "8"
 
 
-def test_idle_connections_are_kept_and_a_loss_is_reported(
-    bed: RobotBed, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def kept_eagerly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(controller.KeepAlive, "IDLE_S", 0.02)
     monkeypatch.setattr(controller.KeepAlive, "PERIOD_S", 0.01)
+
+
+def test_idle_connections_are_kept_and_a_loss_is_reported(
+    bed: RobotBed, kept_eagerly: None
+) -> None:
     robot = bed.connect()
     soon(lambda: bed.peer.requests.count("read $MODE_OP") >= 5)
     assert bed.peer.connections == 2  # only now: a connection is made before it is accepted
@@ -391,11 +395,7 @@ def test_idle_connections_are_kept_and_a_loss_is_reported(
     assert refusal(robot.read).code == "HC-B02"
 
 
-def test_the_connection_of_a_stop_is_not_kept_afterwards(
-    bed: RobotBed, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(controller.KeepAlive, "IDLE_S", 0.0)
-    monkeypatch.setattr(controller.KeepAlive, "PERIOD_S", 0.01)
+def test_the_connection_of_a_stop_is_not_kept_afterwards(bed: RobotBed, kept_eagerly: None) -> None:
     robot = bed.connect()
     keeper = robot.wire()._keeper
     robot.stop()
