@@ -6,7 +6,8 @@ Devices are found by their drivers (`hilcell.ports.Discovers`), which listen and
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
@@ -354,32 +355,32 @@ def drawing(answer: str) -> list[Json]:
     return [dict(zip(header, [name, *xyz_mm], strict=True)) for name, xyz_mm in both]
 
 
-def addresses_of(address: str) -> Addresses:
-    """Return where the devices of a running simulated hall listen; raises `HilcellError`."""
-    cell = load_cell("paper", {"simulation.address": address})
+@contextmanager
+def running(cell: Cell) -> Iterator[ports.SimulatedCell]:
+    """Connect to a simulated cell that runs; raises `HilcellError`."""
     simulated = start_simulation(cell, seed=None, speed=1.0)
     assert simulated is not None  # noqa: S101 - the cell is a simulated one
-    try:
+    with closing(simulated):
+        yield simulated
+
+
+def addresses_of(address: str) -> Addresses:
+    """Return where the devices of a running simulated hall listen; raises `HilcellError`."""
+    with running(load_cell("paper", {"simulation.address": address})) as simulated:
         return simulated.options
-    finally:
-        simulated.close()
 
 
 def ask_the_person(cell: Cell, device: str) -> None:
     """Ask the person in a running simulated hall to pull a cable; a real one has read it."""
     if cell.simulation is None or not cell.simulation.address:
         return
-    simulated = start_simulation(cell, seed=None, speed=1.0)
-    assert simulated is not None  # noqa: S101 - the cell is a simulated one
-    try:
+    with running(cell) as simulated:
         if isinstance(simulated, ports.HasPerson):
             simulated.pull_cable(device)
-    finally:
-        simulated.close()
 
 
 def what_devices_can(cell: Cell) -> list[ports.Ability]:
-    """Return the abilities of all devices; nothing is written, powered or moved."""
+    """Return the abilities of all devices; nothing is changed, powered or moved."""
     simulated = {} if cell.simulation is None else addresses_of(cell.simulation.address)
     found: list[ports.Ability] = []
     for table in GROUPS:
