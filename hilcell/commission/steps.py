@@ -248,8 +248,8 @@ def standing(path: Path) -> str:
 
 
 def check_proved(path: Path) -> None:
-    """Refuse a cell file whose commissioning has begun and has left steps unproved: its places may
-    be assumed. Raises `HilcellError`.
+    """Refuse a cell file whose commissioning has begun and has left steps unproved, or was edited
+    since, or whose volumes nobody has proved. Raises `HilcellError`.
     """
     record, text = Commissioned.read(path), CellText.read(path)
     held = {each.step for each in record.steps if each.holds}
@@ -259,6 +259,12 @@ def check_proved(path: Path) -> None:
         raise HilcellError(
             f"{path}: commissioning has not proved {', '.join(never)} yet, so places and signs in "
             f"this file may be assumed; go on with `hilcell commission {path}`",
+            code="HC-C41",
+        )
+    if text.get("volumes") is not None and text.get("keep_out") is None:
+        raise HilcellError(
+            f"{path}: [volumes] names keep-out volumes, and there is no [[keep_out]] yet: nothing "
+            f"would keep the arm clear of them; prove them with `hilcell commission {path}`",
             code="HC-C41",
         )
     changed = [key for step in steps_of(text) for key in record.changed(step.name, text)]

@@ -78,6 +78,15 @@ def test_a_value_that_was_edited_since_its_proof_drives_nothing(tmp_path: Path) 
     assert [step.name for step in steps_to_perform(cell, "", "")] == NAMES[NAMES.index("rail") :]
 
 
+def test_volumes_that_are_named_and_not_proved_drive_nothing(tmp_path: Path) -> None:
+    cell = tmp_path / "hall.toml"  # without a record: a person has written it
+    cell.write_text('[volumes]\nfile = "volumes.csv"\n')
+    with pytest.raises(HilcellError, match=r"there is no \[\[keep_out\]\] yet"):
+        check_proved(cell)
+    cell.write_text('[volumes]\nfile = "volumes.csv"\n[[keep_out]]\nname = "floor"\n')
+    check_proved(cell)
+
+
 def test_nothing_is_left_once_all_is_proved(tmp_path: Path) -> None:
     cell = proved(tmp_path / "hall.toml", *NAMES)
     assert steps_to_perform(cell, "", "") == []
