@@ -112,7 +112,7 @@ class RailJogs(Step):
         if not (cell.has_rail and cell.rail.is_unplaced):
             return self.moves
         return self.moves.replace(
-            "towards the middle of its travel", "one way, still unknown which"
+            "towards the middle of its travel", "in one direction, not known yet"
         )
 
     def plan(self, cell: Cell, seed: int) -> PlannedStep:

@@ -91,8 +91,8 @@ class Volumes(Step):
                 not_near(known_mm),
                 SAMPLES,
                 tries=NEST_TRIES,
-                first=f"rest the reflector at {corner}, high and low ones; at one that is taken "
-                "already to end",
+                first=f"rest the reflector at {corner}; use high and low corners; to end, leave it "
+                "at a corner that was taken",
             )
             at_mm = np.zeros((0, 3)) if seen is None else apply(T_W_L, places_mm([seen]))
             if not len(at_mm) or bool(np.any(np.linalg.norm(corners_mm - at_mm, axis=1) < SAME_MM)):

@@ -89,7 +89,7 @@ def write_places(text: CellText, slide_nests: int) -> None:
             ("station", [{"name": "S1", "rail_mm": middle_mm, "strip_mm": middle_mm}]),
         ]
     else:
-        write_new(text, "touch.poses", 0, "a pose without a rail has nothing to touch")
+        write_new(text, "touch.poses", 0, "no touch poses without a rail")
     for key, value in assumed:
         write_new(text, key, value, ASSUMED)
 
