@@ -9,7 +9,6 @@ order has no effect.
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from operator import itemgetter
@@ -17,17 +16,21 @@ from typing import NamedTuple, Self, TypedDict
 
 import numpy as np
 
-from hilcell.compensation.interpolation import NEIGHBOURS
 from hilcell.compensation.model import LearntModel, Measured, StaticPoses
 from hilcell.compensation.model_choice import MODELS, NOMINAL, choose, listed
 from hilcell.fit.placement import (
-    ABSURD_MM,
     FitError,
     Placement,
     place,
     refuse_another_robot,
     refuse_unknown_targets,
-    supposition,
+)
+from hilcell.fit.refusals import (
+    refuse_absurd,
+    refuse_contradicting,
+    refuse_few_poses,
+    refuse_many,
+    refuse_undetermined,
 )
 from hilcell.fit.robot_file import Measurements, Robot
 from hilcell.geometry import statistics
@@ -50,14 +53,11 @@ from hilcell.identification.measured_poses import (
     count_poses,
     places_of,
     pose_folds,
-    pose_numbers,
 )
 from hilcell.present.table import Column, Table
 from hilcell.sanitize import counted
 
-UNDETERMINED_MM = 5.0  # a bound beyond this says that the training rows do not determine a row
 WEIGHTS = {"mean": 2.0, "p95": 1.0}  # the largest miss changes with the folds more than methods do
-LEAST_INSIDE = 0.5  # share of test rows within 95 % bounds; below, they are not of this robot
 RESIDUAL = "gp"
 RIGID = "mdh"  # link parameters alone
 TERMS: Mapping[str, tuple[bool, bool]] = {  # elastic joints, a tool's weight
@@ -346,13 +346,13 @@ def fit_robot(robot: Robot, train: Measurements, test: Measurements | None = Non
     """
     start_s = time.perf_counter()
     arm = robot.arm
-    _refuse_few_poses(train)
+    refuse_few_poses(train)
     placement = place(arm, train)  # in the file's order: a refusal may name a shift in it
     order = _order(train)
     rows = train.at(order)
     bad, refused = _contradicting(placement, rows)
     kept = rows.at(np.flatnonzero(~bad))
-    _refuse_few_poses(kept, int(bad.sum()))
+    refuse_few_poses(kept, int(bad.sum()))
     placement = place(arm, kept)
     arms, left_out = ({}, {}) if refused else _arms(placement, kept, refused)
     left_out = cross_validate(arm, kept) | left_out
@@ -367,7 +367,13 @@ def fit_robot(robot: Robot, train: Measurements, test: Measurements | None = Non
     if test is not None:
         refuse_another_robot(placement, test)
         judged, coverage = _judged(methods, test, best)
-        _refuse_contradicting(test, chosen, coverage[chosen], judged[chosen])
+        refuse_contradicting(
+            test,
+            chosen,
+            coverage[chosen]["share"],
+            coverage[chosen]["bound_mm"],
+            judged[chosen].mean,
+        )
         if reason := worse_than_nominal(chosen, judged):
             chosen = NOMINAL
     why = "least mean and p95 of misses at training poses left out"
@@ -451,46 +457,15 @@ def _contradicting(placement: Placement, rows: Measurements) -> tuple[Bools, dic
     try:
         found = FittedArm.learn(placement, rows, richest, trusted=False)
     except IdentificationError as error:
-        _refuse_absurd(placement.arm, rows, placement.miss_mm(rows))
+        refuse_absurd(placement.arm, rows, placement.miss_mm(rows))
         if isinstance(error, ManyContradict):
             raise FitError(str(error)) from error
         return np.zeros(len(rows), dtype=np.bool_), dict.fromkeys((*TERMS, RESIDUAL), str(error))
     bad = found.outliers
     miss_mm = statistics.lengths_mm(rows.xyz_mm - found.predict(rows)[0])
-    _refuse_absurd(placement.arm, rows, np.where(bad, miss_mm, 0.0))
-    _refuse_many(rows, bad, miss_mm)
+    refuse_absurd(placement.arm, rows, np.where(bad, miss_mm, 0.0))
+    refuse_many(rows, bad, miss_mm)
     return bad, {}
-
-
-def _refuse_absurd(arm: Arm, rows: Measurements, miss_mm: Array) -> None:
-    """Refuse errors larger than any robot's."""
-    bad = np.flatnonzero(~(miss_mm <= ABSURD_MM))
-    if len(bad):
-        # Without the rows that show it the others fit, and a wrong arm would correct them.
-        found = supposition(arm, rows, float(miss_mm[bad].max()), bad.tolist())
-        fitting = f"they fit if {found}: correct the files, and keep these rows"
-        act = fitting if found else "mend or remove them"
-        raise FitError(
-            f"{rows.source}: {len(bad)} of {len(rows)} training rows miss grossly, expected "
-            f"<= {ABSURD_MM:g} mm: {_named(rows, bad, miss_mm)}; {act}"
-        )
-
-
-def _refuse_many(rows: Measurements, bad: Bools, miss_mm: Array) -> None:
-    """Refuse more outliers than slips explain."""
-    struck = np.flatnonzero(bad)
-    most_struck = 0.1  # share of training rows left out; beyond, they are no single slips
-    if len(struck) <= most_struck * len(rows):
-        return
-    suspect = "the robot's and the tracker's state during the measurement"
-    target, own = Counter(rows.target[n] for n in struck).most_common(1)[0]
-    if len(set(rows.target)) > 1 and 2 * own > len(struck):
-        suspect = f"reflector {target}, {own} of them: it may have moved on the flange"
-    raise FitError(
-        f"{rows.source}: {len(struck)} of {len(rows)} training rows contradict the others, "
-        f"expected at most {most_struck:.0%}: {_named(rows, struck, miss_mm)}; check {suspect}, "
-        "and measure again"
-    )
 
 
 def _judged(
@@ -504,40 +479,8 @@ def _judged(
         found[name] = figures_of(miss_mm)
         coverage[name] = Coverage(share=float(inside.mean()), bound_mm=float(bounds[name].mean()))
         if name == best:
-            _refuse_undetermined(test, miss_mm, bounds[name])
+            refuse_undetermined(test, miss_mm, bounds[name])
     return found, coverage
-
-
-def _refuse_undetermined(test: Measurements, miss_mm: Array, bound_mm: Array) -> None:
-    """Refuse test rows that the training rows do not determine: other orientations, off
-    one line.
-    """
-    bad = np.flatnonzero(~(bound_mm <= UNDETERMINED_MM))
-    if len(bad):
-        rest = "no other row is left"
-        if len(bad) < len(test):
-            left = figures_of(np.delete(miss_mm, bad, axis=0))
-            figures = " / ".join(f"{value:.4f}" for value in left)
-            rest = f"the others are missed by {figures} mm (mean / p95 / max)"
-        raise FitError(
-            f"{test.source}: {len(bad)} of {len(test)} rows are not determined by the training "
-            f"rows, expected 95 % bounds <= {UNDETERMINED_MM:g} mm: {_named(test, bad, bound_mm)}; "
-            f"{rest}; measure poses with other orientations and places"
-        )
-
-
-def _refuse_contradicting(
-    test: Measurements, chosen: str, found: Coverage, figures: Figures
-) -> None:
-    """Refuse test rows that violate the bounds: corrections would be as wrong."""
-    if not found["share"] >= LEAST_INSIDE:
-        raise FitError(
-            f"{test.source}: {found['share']:.1%} of {len(test)} rows are within the 95 % bounds "
-            f"of {chosen} ({found['bound_mm']:.4f} mm mean), expected >= {LEAST_INSIDE:.0%}; it "
-            f"misses them by {figures.mean:.4f} mm in the mean: the robot's state (zeros, load, "
-            "temperature), the tracker's set-up or the units differ from the training rows'; "
-            "measure both files in one state"
-        )
 
 
 def worse_than_nominal(chosen: str, judged: Mapping[str, Figures]) -> str:
@@ -561,35 +504,8 @@ def _outliers(method: Method, left_out: Measurements) -> list[Outlier]:
     ]
 
 
-def _refuse_few_poses(rows: Measurements, left_out: int = 0) -> None:
-    """Refuse too few poses for cross-validation; ``left_out``: outliers."""
-    pose, fold = pose_numbers(rows.joints_rad), pose_folds(rows.joints_rad)
-    for target, _ in reversed(Counter(rows.target).most_common()):
-        own = rows.of(target)
-        count = len(np.unique(pose[own]))
-        others = min(len(np.unique(pose[own][fold[own] != each])) for each in range(FOLDS))
-        if others < NEIGHBOURS:
-            least = -(-NEIGHBOURS * FOLDS // (FOLDS - 1))  # of which a fifth is left out
-            expected = max(least, count + NEIGHBOURS - others)
-            struck = f" (and {counted(left_out, 'row')} contradict the others)" if left_out else ""
-            name = "correct its name, or " if len(set(rows.target)) > 1 else ""
-            raise FitError(
-                f"{rows.where(own)}: target {target} is measured in {counted(count, 'pose')}"
-                f"{struck}, expected at least {expected} of different joints, a fifth of which "
-                f"cross-validation leaves out; {name}measure it in more poses"
-            )
-
-
 def _order(rows: Measurements) -> Ints:
     """An order of the rows (N,); a re-measured target is grouped by its own rows only."""
     joints, target = rows.joints_rad, np.array(rows.target)
     pose = np.array(rows.pose)
     return np.lexsort((target, pose, *joints.T[::-1], places_of(joints)))
-
-
-def _named(rows: Measurements, bad: Ints, miss_mm: Array) -> str:
-    named = 5  # rows that one message names
-    listed = ", ".join(
-        f"pose {rows.pose[n]} target {rows.target[n]} by {miss_mm[n]:.4g} mm" for n in bad[:named]
-    )
-    return f"{listed}{', ...' if len(bad) > named else ''}"
