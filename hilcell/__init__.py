@@ -28,7 +28,7 @@ __all__ = [
 # The module of each name; `__init__.pyi` states the same for type checkers.
 _MODULES = {
     "HilcellError": "hilcell.errors",
-    "Measurements": "hilcell.fit.robot_file",
+    "Measurements": "hilcell.fit.measurements",
     "PoseCorrection": "hilcell.programs.pose_correction",
     "Robot": "hilcell.fit.robot_file",
     "RobotFit": "hilcell.fit.methods",
@@ -38,7 +38,7 @@ _MODULES = {
     "load_cell": "hilcell.cell.file",
     "open_calibration": "hilcell.programs.corrected",
     "open_run": "hilcell.report.recorded",
-    "read_measurements": "hilcell.fit.robot_file",
+    "read_measurements": "hilcell.fit.measurements",
     "read_robot": "hilcell.fit.urdf_file",
     "rigid_arm": "hilcell.fit.rigid_arm",
 }

@@ -13,9 +13,10 @@ import numpy as np
 
 from hilcell.cell.file import Cell, arm_from_joints
 from hilcell.decoding import typed
+from hilcell.fit.measurements import Measurements, read_measurements
 from hilcell.fit.methods import FitResult, fit_robot, methods_table
 from hilcell.fit.placement import FitError, place
-from hilcell.fit.robot_file import Measurements, Robot, read_measurements
+from hilcell.fit.robot_file import Robot
 from hilcell.journal.log import Log, positions_mm
 from hilcell.model.plan import PlannedStep
 from hilcell.model.point import PointId

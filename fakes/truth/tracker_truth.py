@@ -26,7 +26,7 @@ from fakes.truth.noise import KeyedNoise
 from fakes.truth.robot_motion import RobotMotion
 from fakes.truth.transforms import Array, frame, inverse, rigid, rotation, transform_point
 from hilcell.cell.file import Cell
-from hilcell.fit.robot_file import read_measurements
+from hilcell.fit.measurements import read_measurements
 from hilcell.ports import Air
 
 

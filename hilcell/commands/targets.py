@@ -15,8 +15,8 @@ from hilcell.commands.console import print_data, print_json, print_message, prin
 from hilcell.commands.signatures import Compensate, Fit, Plan, Prepare
 from hilcell.compensation.targets import as_listed, write_rows
 from hilcell.errors import bounded
+from hilcell.fit.measurements import Measurements, read_measurements
 from hilcell.fit.methods import FitResult, FittedArm, RobotFit, fit_robot, in_mm, methods_table
-from hilcell.fit.robot_file import Measurements, read_measurements
 from hilcell.fit.urdf_file import URDF, read_robot
 from hilcell.present.table import Table, listed
 from hilcell.programs.corrected import UsableCalibration

@@ -18,6 +18,7 @@ import numpy as np
 
 from hilcell.compensation.model import LearntModel, Measured, StaticPoses
 from hilcell.compensation.model_choice import MODELS, NOMINAL, choose, listed
+from hilcell.fit.measurements import Measurements
 from hilcell.fit.placement import (
     FitError,
     Placement,
@@ -32,7 +33,7 @@ from hilcell.fit.refusals import (
     refuse_many,
     refuse_undetermined,
 )
-from hilcell.fit.robot_file import Measurements, Robot
+from hilcell.fit.robot_file import Robot
 from hilcell.geometry import statistics
 from hilcell.geometry.kinematics import Arm, Array, Bools, Ints
 from hilcell.geometry.statistics import Figures

@@ -13,7 +13,7 @@ from itertools import islice, permutations
 
 import numpy as np
 
-from hilcell.fit.robot_file import Measurements
+from hilcell.fit.measurements import Measurements
 from hilcell.geometry import statistics
 from hilcell.geometry.frames import (
     ONE_PLACE_MM,

@@ -7,8 +7,8 @@ from collections import Counter
 import numpy as np
 
 from hilcell.compensation.interpolation import NEIGHBOURS
+from hilcell.fit.measurements import Measurements
 from hilcell.fit.placement import ABSURD_MM, FitError, supposition
-from hilcell.fit.robot_file import Measurements
 from hilcell.geometry import statistics
 from hilcell.geometry.kinematics import Arm, Array, Bools, Ints
 from hilcell.identification.measured_poses import FOLDS, pose_folds, pose_numbers

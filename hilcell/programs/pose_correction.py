@@ -26,10 +26,11 @@ from hilcell.compensation.model import Prediction
 from hilcell.compensation.model_choice import NOMINAL
 from hilcell.compensation.programs import Program, load_program
 from hilcell.compensation.targets import HEADER, Stamp, read_named_rows, target_rows
+from hilcell.fit.measurements import Measurements
 from hilcell.fit.methods import Method, RobotFit
 from hilcell.fit.placement import FitError
 from hilcell.fit.refusals import UNDETERMINED_MM
-from hilcell.fit.robot_file import Measurements, Robot
+from hilcell.fit.robot_file import Robot
 from hilcell.geometry.frames import (
     FrameError,
     apply,

@@ -14,7 +14,8 @@ from hilcell.calibration.file import read_calibration
 from hilcell.cell import settings
 from hilcell.cell.settings import SettingsError, read_bytes
 from hilcell.compensation.targets import HEADER, read_targets
-from hilcell.fit.robot_file import read_dh, read_measurements
+from hilcell.fit.measurements import read_measurements
+from hilcell.fit.robot_file import read_dh
 from hilcell.fit.urdf_file import read_urdf
 from hilcell.programs.holes import read_holes
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilcell.fit.robot_file import HEADER, Measurements
+from hilcell.fit.measurements import HEADER, Measurements
 from tests.hilcell.fit.test_fit import measured
 from tests.hilcell.fit.urdfs import PLAIN
 from tests.whole.bench import command

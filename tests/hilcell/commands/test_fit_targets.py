@@ -10,8 +10,9 @@ import pytest
 
 from hilcell.compensation.targets import read_named_rows, read_targets
 from hilcell.compensation.targets import write_rows as write_list
+from hilcell.fit.measurements import Measurements, read_measurements
 from hilcell.fit.methods import FitResult, RobotFit, fit_robot
-from hilcell.fit.robot_file import Measurements, Robot, read_measurements
+from hilcell.fit.robot_file import Robot
 from hilcell.fit.urdf_file import Urdf, read_urdf
 from hilcell.geometry.frames import (
     apply,

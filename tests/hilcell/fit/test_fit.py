@@ -16,17 +16,10 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from hilcell.compensation.interpolation import Idw
+from hilcell.fit.measurements import HEADER, Measurements, read_measurements
 from hilcell.fit.methods import AtPoints, cross_validate, fit_robot
 from hilcell.fit.placement import FitError, place
-from hilcell.fit.robot_file import (
-    HEADER,
-    Measurements,
-    Robot,
-    RobotModel,
-    Row,
-    read_dh,
-    read_measurements,
-)
+from hilcell.fit.robot_file import Robot, RobotModel, Row, read_dh
 from hilcell.geometry.frames import apply, pose_from_zyx
 from hilcell.geometry.inverse import inverse_kinematics
 from hilcell.geometry.kinematics import forward

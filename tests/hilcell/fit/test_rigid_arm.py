@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hilcell.fit.measurements import Measurements
 from hilcell.fit.methods import fit_robot
 from hilcell.fit.placement import FitError
 from hilcell.fit.rigid_arm import RigidArm, alone, rigid_arm, write_dh, write_urdf
-from hilcell.fit.robot_file import Measurements, Robot
+from hilcell.fit.robot_file import Robot
 from hilcell.fit.urdf_file import Urdf, read_urdf
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.kinematics import Array
