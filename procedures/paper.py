@@ -35,7 +35,7 @@ from hilcell.geometry.frames import (
     rigid_fit,
     three_point_frame,
 )
-from hilcell.geometry.jacobian import PARAMETERS, moved, parameter_jacobian
+from hilcell.geometry.jacobian import moved, parameter_jacobian, parameters
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import (
     chi2_quantile,
@@ -128,7 +128,7 @@ class Compared:
         joints_rad = self.commanded_rad(self.log.select("grid"))
         analytic = parameter_jacobian(arm, joints_rad)[:, :3, :]
         worst = 0.0
-        for column, parameter in enumerate(PARAMETERS):
+        for column, parameter in enumerate(parameters(arm)):
             step = 1e-2 if "_mm" in parameter else 1e-5
             ends = [
                 forward(moved(arm, column, sign * step), joints_rad)[:, :3, 3]

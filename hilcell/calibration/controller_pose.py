@@ -16,7 +16,7 @@ import numpy as np
 from hilcell.calibration.file import Calibration
 from hilcell.cell.robot import RobotTable
 from hilcell.geometry.frames import to_rotvec
-from hilcell.geometry.jacobian import KINDS, PARAMETERS, moved, parameter_jacobian
+from hilcell.geometry.jacobian import KINDS, moved, parameter_jacobian
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.ports import Array, DeviceError, HilcellError, RobotReading
 
@@ -102,7 +102,7 @@ def fitting(arm: Arm, joints_rad: Array, pose: Array) -> dict[str, float]:
     Their names in the cell file, with differences (mm, deg).
     """
     fits = []
-    fitted = (*range(24), *range(30, 33))  # of `PARAMETERS` those that a cell file has
+    fitted = (*range(24), *range(30, 33))  # of `parameters` those that a cell file has
     for column in fitted:
         other, step = _best_fit(arm, joints_rad, pose, column)
         left = deviation(other, joints_rad, pose)
@@ -129,7 +129,7 @@ def _best_fit(arm: Arm, joints_rad: Array, pose: Array, column: int) -> tuple[Ar
 
 def _named(column: int, step: float) -> tuple[str, float]:
     if column >= 30:
-        return f"smr_mm {PARAMETERS[column].split('_')[1]}", step
+        return f"smr_mm {'xyz'[column - 30]}", step
     kind, row = divmod(column, 6)
     name = KINDS[kind].replace("_rad", "_deg")
     return f"{name} of joint {row + 1}", float(np.degrees(step)) if "deg" in name else step

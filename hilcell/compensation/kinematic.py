@@ -68,7 +68,7 @@ class RobotEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_d
         if self.status not in range(8):
             raise ModelError(f"robot.status {self.status}, expected 0 .. 7")
         return NominalRobot(
-            Arm(**rows, tool=_frame("robot.tool", self.tool), coupling=self.coupling),
+            Arm(**rows, tool=_frame("robot.tool", self.tool), coupling=self.coupling, prismatic=()),
             self.status,
             _numbers("robot.limits_rad", self.limits_rad, (2, 6), MOST_RAD),
             _numbers("robot.reference_rad", self.reference_rad, (6,), MOST_RAD),

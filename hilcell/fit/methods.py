@@ -188,7 +188,7 @@ class Poses:
             seen[pose, joints, target] = again + 1
             number = numbers.setdefault((pose, joints, again), len(numbers))
             at[n] = number, targets.index(target)
-        joints_rad = np.empty((len(numbers), 6))
+        joints_rad = np.empty((len(numbers), rows.joints_rad.shape[1]))
         joints_rad[at[:, 0]] = rows.joints_rad
         xyz_mm: Array = np.full((len(numbers), len(targets), 3), np.nan)
         xyz_mm[at[:, 0], at[:, 1]] = rows.xyz_mm

@@ -25,7 +25,6 @@ from hilcell.geometry.jacobian import KINDS
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.geometry.statistics import Figures
 from hilcell.identification.estimate import DETERMINED
-from hilcell.identification.kinematics import LINKS
 from hilcell.sanitize import clean
 
 
@@ -50,7 +49,7 @@ class Parameter:
 class RigidArm:
     """The identified ``arm``; ``T_L_B`` (4, 4): its base in the tracker's frame.
 
-    ``smr_mm``: reflectors (3,) on the flange; ``covariance`` (30, 30) in the parameters' units;
+    ``smr_mm``: reflectors (3,) on the flange; ``covariance`` (5 n, 5 n) in the parameters' units;
     ``figures``: residuals at training poses left out in sequence.
     """
 
@@ -71,12 +70,13 @@ def rigid_arm(fit: RobotFit) -> RigidArm:
         raise FitError(f"no arm is identified: {fit.result['refused'][RIGID]}")
     kinematics, system = fitted.estimate.kinematics, fitted.estimate.system
     arm, links = kinematics.arm_of(fitted.estimate.state), slice(kinematics.placed, None)
-    labels = [name.split() for name in kinematics.names[links][:LINKS]]
+    count = kinematics.links
+    labels = [name.split() for name in kinematics.names[links][:count]]
     scale = np.array([units[unit][1] for _, unit in labels])
     rows = [getattr(each, kind) for each in (nominal, arm) for kind in KINDS]
-    before, after = np.array(rows).reshape(2, LINKS) * scale
-    covariance = system.covariance[links, links][:LINKS, :LINKS] * np.outer(scale, scale)
-    prior = kinematics.prior[1][links, links][:LINKS, :LINKS] * np.outer(scale, scale)
+    before, after = np.array(rows).reshape(2, count) * scale
+    covariance = system.covariance[links, links][:count, :count] * np.outer(scale, scale)
+    prior = kinematics.prior[1][links, links][:count, :count] * np.outer(scale, scale)
     u, prior_u = (np.sqrt(np.diag(each)) for each in (covariance, prior))
     parameters = [
         Parameter(name, units[unit][0], *map(float, values))

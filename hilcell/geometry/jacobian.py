@@ -14,18 +14,33 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hilcell.geometry.frames import cross_matrix
-from hilcell.geometry.kinematics import Arm, Array, link_transforms, rotation_y
+from hilcell.geometry.kinematics import MM, Arm, Array, link_transforms, rotation_y
 
 KINDS = ("a_mm", "alpha_rad", "d_mm", "offset_rad", "beta_rad")
-PARAMETERS = (
-    *(f"{kind}[{row}]" for kind in KINDS for row in range(6)),
-    *(f"tool_{axis}_mm" for axis in "xyz"),
-)
-"""Names of the columns: fields of `Arm` by row, then the tool point on the flange."""
+
+
+def parameters(arm: Arm) -> list[str]:
+    """Names of the columns (5 n + 3): fields of `Arm` by row, then the tool point on the flange."""
+    links = [f"{kind}[{row}]" for kind in KINDS for row in range(len(arm))]
+    return links + [f"tool_{axis}_mm" for axis in "xyz"]
+
+
+def by_joints(arm: Arm, columns: Array) -> Array:
+    """Return the motion (..., n) by the arm's joint values, of that by its parameters (..., P).
+
+    A joint rotates the arm as its offset does, a prismatic one shifts it as its d.
+    """
+    rows = len(arm)
+    offset = KINDS.index("offset_rad") * rows
+    rotated = columns[..., offset : offset + rows]
+    if not arm.prismatic:
+        return np.asarray(arm.sign * rotated)
+    shifted = MM * columns[..., offset - rows : offset]  # d is the kind before
+    return np.asarray(arm.sign * np.where(arm.turning, rotated, shifted))
 
 
 def link_errors(arm: Arm) -> Array:
-    """Each link's error in its frame {i} per unit of each parameter, (6 links, 6, 5).
+    """Each link's error in its frame {i} per unit of each parameter, (n links, 6, 5).
 
     The second axis is (d, delta) of eq 4: shift in mm, rotation vector in rad; the last is `KINDS`.
     With eq 2: d = (da, a cos(alpha) dtheta + sin(alpha) dd, -a sin(alpha) dtheta + cos(alpha) dd)
@@ -34,7 +49,7 @@ def link_errors(arm: Arm) -> Array:
     rotation of joint i precedes the whole link.
     """
     ca, sa = np.cos(arm.alpha_rad), np.sin(arm.alpha_rad)
-    errors = np.zeros((6, 6, 5))
+    errors = np.zeros((len(arm), 6, 5))
     a, alpha, d, offset, beta = range(5)
     errors[:, 0, a] = 1.0
     errors[:, 3, alpha] = 1.0
@@ -48,27 +63,29 @@ def link_errors(arm: Arm) -> Array:
 
 
 def tool_and_jacobian(arm: Arm, joints_rad: ArrayLike) -> tuple[Array, Array]:
-    """{T} in {B}, (..., 4, 4), as `forward`, and its motion by each of `PARAMETERS`.
+    """{T} in {B}, (..., 4, 4), as `forward`, and its motion by each of `parameters`.
 
-    d(shift in mm, rotation vector in rad)/d(`PARAMETERS`), (..., 6, 33), axes of {T}, for joints
-    (..., 6): the columns are d^n and delta^n of eq 7, link by link ``U_{i+1}^-1 deltaA_i U_{i+1}``
+    d(shift in mm, rotation vector in rad)/d(`parameters`), (..., 6, P), axes of {T}, for joints
+    (..., n): the columns are d^n and delta^n of eq 7, link by link ``U_{i+1}^-1 deltaA_i U_{i+1}``
     of eq 6.
     """
     links = link_transforms(arm, np.asarray(joints_rad, dtype=float))
     errors = link_errors(arm)
     shape = links.shape[:-3]
-    columns = np.zeros((*shape, 6, len(PARAMETERS)))
+    rows = len(arm)
+    tool = len(KINDS) * rows
+    columns = np.zeros((*shape, 6, tool + 3))
     U: Array = np.broadcast_to(arm.tool, (*shape, 4, 4))
-    for row in reversed(range(6)):
+    for row in reversed(range(rows)):
         moved = _carrier(U).reshape(-1, 6) @ errors[row]
-        columns[..., row:30:6] = moved.reshape(*shape, 6, 5)
+        columns[..., row:tool:rows] = moved.reshape(*shape, 6, 5)
         U = links[..., row, :, :] @ U
-    columns[..., :3, 30:] = arm.tool[:3, :3].T
+    columns[..., :3, tool:] = arm.tool[:3, :3].T
     return U, columns
 
 
 def parameter_jacobian(arm: Arm, joints_rad: ArrayLike) -> Array:
-    """Return the columns with the axes of {B}, (..., 6, 33): d in {B} is R_T d^n."""
+    """Return the columns with the axes of {B}, (..., 6, P): d in {B} is R_T d^n."""
     T, turned = tool_and_jacobian(arm, joints_rad)
     R = T[..., :3, :3]
     turned[..., :3, :] = R @ turned[..., :3, :]
@@ -77,15 +94,15 @@ def parameter_jacobian(arm: Arm, joints_rad: ArrayLike) -> Array:
 
 
 def moved(arm: Arm, column: int, step: float) -> Arm:
-    """Return the arm with one of `PARAMETERS` changed by ``step``."""
-    if column >= 30:
+    """Return the arm with one of `parameters` changed by ``step``."""
+    kind, row = divmod(column, len(arm))
+    if kind >= len(KINDS):
         tool = arm.tool.copy()
-        tool[column - 30, 3] += step
+        tool[column - len(KINDS) * len(arm), 3] += step
         return replace(arm, tool=tool)
-    kind, row = divmod(column, 6)
     values: Array = getattr(arm, KINDS[kind]).copy()
     values[row] += step
-    return replace(arm, coupling=arm.coupling, **{KINDS[kind]: values})
+    return replace(arm, coupling=arm.coupling, prismatic=arm.prismatic, **{KINDS[kind]: values})
 
 
 def _carrier(U: Array) -> Array:

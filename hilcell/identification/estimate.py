@@ -38,7 +38,7 @@ DETERMINED = 0.5  # of the prior's standard deviation: below, the data say more 
 def predict(
     kinematics: Kinematics, state: State, covariance: Array, noise: Noise, joints_rad: Array
 ) -> tuple[Array, Array]:
-    """Positions (M, K, 3) at commanded joints (M, 6) and their covariances (M, K, 3, 3).
+    """Positions (M, K, 3) at commanded joints (M, n) and their covariances (M, K, 3, 3).
 
     Of the parameters' ``covariance`` (P, P) and one visit's scatter as identified (repeatability,
     and what no parameter describes); without the reading.
@@ -60,7 +60,7 @@ def predict(
 def predict_orientations(
     kinematics: Kinematics, state: State, covariance: Array, noise: Noise, joints_rad: Array
 ) -> tuple[Array, Array]:
-    """Orientations (M, 3, 3) of the flange at commanded joints (M, 6), and their covariances.
+    """Orientations (M, 3, 3) of the flange at commanded joints (M, n), and their covariances.
 
     (M, 3, 3), of rotation vectors. The reflectors define the orientation: their rotation on the
     flange that a rotation of the last link compensates is unobservable, and does not count.
@@ -126,7 +126,7 @@ def identify_trusted(
 ) -> Estimate:
     """The same from readings without outliers."""
     _refuse_too_few(readings)
-    noise = noise or Noise.of_poses(kinematics.reflectors)
+    noise = noise or Noise.of_poses(kinematics.reflectors, len(kinematics.arm))
     state, _ = solve(kinematics, readings, start, noise)
     # the noise of greatest marginal likelihood, linearised at this state
     linearised = kinematics.linearised(state, readings.joints_rad)
@@ -182,7 +182,8 @@ def _robust(kinematics: Kinematics, readings: Readings, state: State) -> tuple[S
         excess = scale_mm**2 * (lengths_mm / (cauchy * scale_mm)) ** 2
         covariance_mm2 = readings.covariance_mm2 + excess[..., None, None] * np.eye(3)
         weighted = replace(readings, covariance_mm2=covariance_mm2)
-        system = System.of(kinematics, state, weighted, Noise.independent(scale_mm), linearised)
+        noise = Noise.independent(scale_mm, len(kinematics.arm))
+        system = System.of(kinematics, state, weighted, noise, linearised)
         state = kinematics.moved(state, system.step)
         linearised = kinematics.linearised(state, readings.joints_rad)
         missed = readings.xyz_mm - linearised.positions_mm

@@ -1,6 +1,6 @@
 """A smooth error of each joint that depends on all joints, and that no parameter describes.
 
-A Gaussian process: joint j errs by s_j times a random function of the six joints, once
+A Gaussian process: joint j errs by s_j times a random function of all joints, once
 differentiable (Matern 5/2), with one length scale a joint. It acts through the joints' derivatives,
 so all reflectors of a pose share it. It is estimated together with the parameters, which would
 otherwise absorb a part of it.
@@ -23,13 +23,13 @@ ROWS = 300  # of evenly chosen poses, from which the scales are found
 
 @dataclass(frozen=True, eq=False)
 class Kernel:
-    """Standard deviations of the joints' errors (6,) and length scales (6,), rad."""
+    """Standard deviations of the joints' errors (n,) and length scales (n,), rad or m."""
 
     joint_rad: Array
     length_rad: Array
 
     def correlation(self, a_rad: Array, b_rad: Array) -> tuple[Array, Array]:
-        """Correlation (A, B) of joints (A, 6) and (B, 6), and its derivative times -2. By the
+        """Correlation (A, B) of joints (A, n) and (B, n), and its derivative times -2. By the
         squared distance in length scales.
         """
         a, b = a_rad / self.length_rad, b_rad / self.length_rad
@@ -42,7 +42,7 @@ class Kernel:
 @dataclass(frozen=True, eq=False)
 class Rows:
     """Known rows (N) of an estimate: design (N, P), residual (N,), noise (N, N). The joints' levers
-    (N, 6) and pose (N,) of each row; joints (M, 6).
+    (N, n) and pose (N,) of each row; joints (M, n).
     """
 
     design: Array
@@ -65,7 +65,7 @@ class Rows:
             system.design[poses].reshape(rows, -1)[known],
             system.residual_mm[poses].ravel()[known],
             noise.reshape(rows, rows)[np.ix_(known, known)],
-            system.by_joint[poses].reshape(rows, 6)[known],
+            system.by_joint[poses].reshape(rows, -1)[known],
             np.repeat(each, size)[known],
             estimate.readings.joints_rad[poses],
         )
@@ -153,7 +153,7 @@ class WithResidual:
         found = self.base.kinematics.linearised(self.base.state, joints_rad)
         count, reflectors = found.positions_mm.shape[:2]
         correlation = self.kernel.correlation(joints_rad, rows.joints_rad)[0][:, rows.pose]
-        levers = found.by_joint.reshape(count, -1, 6)
+        levers = found.by_joint.reshape(count, -1, len(variance))
         cross = ((levers * variance) @ rows.levers.T) * correlation[:, None, :]
         flat = cross.reshape(-1, len(rows.pose))
         design = found.by_parameter.reshape(len(flat), -1)
@@ -196,18 +196,21 @@ def with_residual(estimate: Estimate) -> WithResidual:
 
 
 def _kernel(scales: Array) -> tuple[Kernel, float]:
-    """Return the kernel and the noise's share, a variance, of logarithms (13,)."""
-    return Kernel(np.exp(scales[:6]), np.exp(scales[6:12])), float(np.exp(2.0 * scales[12]))
+    """Return the kernel and the noise's share, a variance, of logarithms (2 n + 1)."""
+    joint_rad, length_rad = np.exp(scales[:-1]).reshape(2, -1)
+    return Kernel(joint_rad, length_rad), float(np.exp(2.0 * scales[-1]))
 
 
 def _scales(estimate: Estimate, rows: Rows) -> Array:
-    """Return the logarithms (13,) of the kernel's scales and the noise's, by L-BFGS."""
-    doubt = np.repeat([1.5, 1.0, 1.0], [6, 6, 1])  # of their logarithms, and of the noise's scale
+    """Return the logarithms (2 n + 1) of the kernel's scales and the noise's, by L-BFGS."""
+    joints = rows.joints_rad.shape[1]
+    each = [joints, joints, 1]
+    doubt = np.repeat([1.5, 1.0, 1.0], each)  # of their logarithms, and of the noise's scale
     from scipy.optimize import minimize
 
     system = estimate.system
     # where the search begins, and what few data lean on
-    middle = np.log(np.repeat([100e-6, 1.0, 1.0], [6, 6, 1]))
+    middle = np.log(np.repeat([100e-6, 1.0, 1.0], each))
     squares = (rows.joints_rad[:, None] - rows.joints_rad) ** 2
     place = (rows.pose[:, None] == np.arange(len(rows.joints_rad))).astype(float)
 

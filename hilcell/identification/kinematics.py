@@ -1,15 +1,12 @@
 """A robot with kinematic errors: its unknown parameters, and the resulting reflector positions.
 
 Unknown are the base frame, the reflectors on the flange, the link parameters (Denavit, Hartenberg,
-Hayati), the deflection of axes 2 and 3 by gravity and of all by a tool's weight, one and two waves
-a revolution of each joint, and the amplitudes and shift of given transmission curves. Many have the
+Hayati), the deflection of axes by gravity and by a tool's weight, one and two waves a revolution
+of each joint, and the amplitudes and shift of given transmission curves. Many have the
 same effect (d of the parallel axes 2 and 3, base and first link, reflector and last link); priors
-decide, so the parameters may be arbitrary where the positions are not.
-
-Gravity acts along the base's z, up or down. A link whose mass lies on its line loads an axis behind
-it by the cosine of its slope against the horizontal; mass beside the line adds the sine. A tool
-loads every axis, by a lever to the flange and one from there to its unknown centre of mass: one
-coefficient for each coordinate. A coefficient is a joint's deflection (rad) at the greatest load.
+decide, so the parameters may be arbitrary where the positions are not. Weight acts on revolute
+joints alone (`hilcell.identification.weight`); a prismatic joint has an error of its pitch in place
+of waves.
 """
 
 from __future__ import annotations
@@ -20,8 +17,9 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from hilcell.geometry.frames import cross_matrix, from_rotvec, motion_levers
-from hilcell.geometry.jacobian import KINDS, tool_and_jacobian
-from hilcell.geometry.kinematics import Arm, Array, forward, link_transforms
+from hilcell.geometry.jacobian import KINDS, by_joints, tool_and_jacobian
+from hilcell.geometry.kinematics import Arm, Array, forward
+from hilcell.identification.weight import gravity_basis, gravity_loads, tool_basis, tool_loads
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,9 +59,8 @@ class TransmissionCurve:
         return self.basis(joint_rad) @ self.amplitude_rad.ravel()
 
 
-BASE, LINKS = 6, 30
+BASE = 6
 ORDERS = (1, 2)
-GRAVITY_LINKS = ((1, "upper arm"), (1, "forearm"), (2, "forearm"))  # axis, and what loads it
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +80,7 @@ class State:
 @dataclass(frozen=True, eq=False)
 class Linearised:
     """Positions (M, K, 3), their derivatives by all parameters (M, K, 3, P), by the angles of the
-    axes (M, K, 3, 6).
+    axes (M, K, 3, n).
     """
 
     positions_mm: Array
@@ -122,12 +119,16 @@ class Kinematics:
         return BASE + 3 * self.reflectors
 
     @property
+    def links(self) -> int:
+        return len(KINDS) * len(self.arm)
+
+    @property
     def names(self) -> list[str]:
         names = [f"base {axis} mm" for axis in "xyz"] + [f"base r{axis} rad" for axis in "xyz"]
         names += [f"reflector {k + 1} {axis} mm" for k in range(self.reflectors) for axis in "xyz"]
         for kind, unit in (each.rsplit("_", 1) for each in KINDS):
-            names += [f"{kind}{row + 1} {unit}" for row in range(6)]
-        names += [f"axis {axis + 1}: {effect} rad" for axis, effect, _ in self._effects]
+            names += [f"{kind}{row + 1} {unit}" for row in range(len(self.arm))]
+        names += [f"axis {axis + 1}: {effect}" for axis, effect, _ in self._effects]
         for curve in self.curves:
             axis = f"axis {curve.axis + 1}"
             names += [f"{axis}: {w} {n:g}q rad" for n in curve.cycles for w in ("cos", "sin")]
@@ -141,17 +142,19 @@ class Kinematics:
         """
         gravity_rad = 0.5e-3  # of the deflection at full load
         wave_rad = 50e-6  # of the amplitudes of one and two waves a revolution
-        waves = [f"{wave} {order}q" for order in ORDERS for wave in ("cos", "sin")]
-        levers = [f"tool {lever}" for lever in ("flange", "x", "y", "z")]
-        gravity = [
-            (axis, f"{wave} {link}", gravity_rad)
-            for axis, link in GRAVITY_LINKS
-            for wave in ("cos", "sin")
-        ]
+        pitch = 1e-3  # of a prismatic joint's way
+        waves = [f"{wave} {order}q rad" for order in ORDERS for wave in ("cos", "sin")]
+        drives: list[tuple[int, str, float]] = []
+        for axis, turns in enumerate(self.arm.turning):
+            if turns:
+                drives += [(axis, wave, wave_rad) for wave in waves]
+            else:
+                drives.append((axis, "pitch m/m", pitch))
+        gravity, tool = gravity_loads(self.arm), tool_loads(self.arm)
         return [
-            *(gravity if self.gravity else []),
-            *((axis, wave, wave_rad) for axis in range(6) for wave in waves if self.waves),
-            *((axis, lever, gravity_rad) for axis in range(6) for lever in levers if self.tool),
+            *((axis, f"{load} rad", gravity_rad) for axis, load in gravity if self.gravity),
+            *(drives if self.waves else []),
+            *((axis, f"{load} rad", gravity_rad) for axis, load in tool if self.tool),
         ]
 
     @cached_property
@@ -174,7 +177,7 @@ class Kinematics:
         sigmas = [
             *[assumed.base_mm] * 3, *[assumed.base_rad] * 3,
             *[assumed.reflector_mm] * (3 * self.reflectors),
-            *np.repeat(links, 6), *(sigma for _, _, sigma in self._effects),
+            *np.repeat(links, len(self.arm)), *(sigma for _, _, sigma in self._effects),
         ]  # fmt: skip
         size = len(sigmas) + sum(2 * len(curve.cycles) + 1 for curve in self.curves)
         mean, covariance = np.zeros(size), np.zeros((size, size))
@@ -205,16 +208,16 @@ class Kinematics:
         return State(T, smr_mm, state.values + step[self.placed :], moved)
 
     def arm_of(self, state: State) -> Arm:
-        by_kind = state.values[:LINKS].reshape(len(KINDS), 6)
+        by_kind = state.values[: self.links].reshape(len(KINDS), -1)
         changed = {kind: getattr(self.arm, kind) + by_kind[n] for n, kind in enumerate(KINDS)}
         return replace(self.arm, tool=np.eye(4), coupling=0.0, **changed)
 
     def joints_of(self, state: State, joints_rad: Array) -> Array:
-        """True angles of the axes (M, 6), those of `arm_of`, at commanded joints (M, 6)."""
+        """True angles of the axes (M, n), those of `arm_of`, at commanded joints (M, n)."""
         return self._bent(state, joints_rad)[0]
 
     def positions_mm(self, state: State, joints_rad: Array) -> Array:
-        """Positions of the reflectors (M, K, 3) at commanded joints (M, 6)."""
+        """Positions of the reflectors (M, K, 3) at commanded joints (M, n)."""
         flange = state.T @ forward(self.arm_of(state), self.joints_of(state, joints_rad))
         return self._carried(flange, state.smr_mm)
 
@@ -224,36 +227,36 @@ class Kinematics:
         flange, J = tool_and_jacobian(arm, joints)
         turned = state.T[:3, :3] @ flange[:, :3, :3]
         levers = turned[:, None] @ motion_levers(state.smr_mm)[..., :6]
-        links = levers.reshape(len(joints), -1, 6) @ J[..., :LINKS]
-        links = links.reshape(*levers.shape[:3], LINKS)
-        by_joint = arm.sign * links[..., 3 * 6 : 4 * 6]  # a joint turns as its offset does
+        links = levers.reshape(len(joints), -1, 6) @ J[..., : self.links]
+        links = links.reshape(*levers.shape[:3], self.links)
+        by_joint = by_joints(arm, links)
         positions = self._carried(state.T @ flange, state.smr_mm)
-        count, placed = len(joints), self.placed
-        derivatives = np.zeros((count, self.reflectors, 3, placed + LINKS + len(self._axes)))
+        count, placed, behind = len(joints), self.placed, self.placed + self.links
+        derivatives = np.zeros((count, self.reflectors, 3, behind + len(self._axes)))
         derivatives[..., :3] = np.eye(3)
         derivatives[..., 3:BASE] = -cross_matrix(positions - state.T[:3, 3])
         for k in range(self.reflectors):
             derivatives[:, k, :, BASE + 3 * k : BASE + 3 * k + 3] = turned
-        derivatives[..., placed : placed + LINKS] = links
+        derivatives[..., placed:behind] = links
         turns = by_joint[..., self._axes]
-        np.multiply(turns, basis[:, None, None], out=derivatives[..., placed + LINKS :])
+        np.multiply(turns, basis[:, None, None], out=derivatives[..., behind:])
         return Linearised(positions, derivatives, by_joint)
 
     @cached_property
     def _axes(self) -> list[int]:
-        """Return which joint (V - 30,) each parameter behind the links turns."""
+        """Return which joint (V - 5 n,) each parameter behind the links turns."""
         axes = [axis for axis, _, _ in self._effects]
         for curve in self.curves:
             axes += [curve.axis] * (2 * len(curve.cycles) + 1)
         return axes
 
     def _bent(self, state: State, joints_rad: Array) -> tuple[Array, Array]:
-        """True angles of the axes (M, 6), and the rotation by each parameter behind the links, of
-        its joint (M, V - 30).
+        """True angles of the axes (M, n), and the motion by each parameter behind the links, of
+        its joint (M, V - 5 n).
         """
         joints = self.arm.angles(joints_rad)
         blocks = [_steady(self, joints.tobytes())]
-        values, linear = state.values[LINKS:], np.ones(len(self._axes))
+        values, linear = state.values[self.links :], np.ones(len(self._axes))
         end = blocks[0].shape[1]
         for curve in self.curves:
             size = 2 * len(curve.cycles)
@@ -263,7 +266,7 @@ class Kinematics:
             linear[end + size] = 0.0  # a shift is in the basis already
             end += size + 1
         basis = np.concatenate(blocks, axis=1)
-        by_axis = np.eye(6)[self._axes]
+        by_axis = np.eye(len(self.arm))[self._axes]
         true: Array = joints + (basis * (values * linear)) @ by_axis
         return true, basis
 
@@ -277,57 +280,25 @@ class Kinematics:
 
 @lru_cache(maxsize=2)
 def _steady(kinematics: Kinematics, joints: bytes) -> Array:
-    """Basis at angles (M, 6) as far as independent of the state, cached for all steps."""
-    at, arm = np.frombuffer(joints).reshape(-1, 6), kinematics.arm.by_angles
+    """Basis at angles (M, n) as far as independent of the state, cached for all steps."""
+    arm = kinematics.arm.by_angles
+    at = np.frombuffer(joints).reshape(-1, len(arm))
     blocks = [np.zeros((len(at), 0))]
     if kinematics.gravity:
         blocks.append(gravity_basis(arm, at))
     if kinematics.waves:
-        angles = at[..., None] * np.array(ORDERS)  # cos q, sin q, cos 2q, sin 2q of each joint
-        pairs = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        blocks.append(pairs.reshape(len(at), -1))
+        blocks.append(_drive_basis(arm, at))
     if kinematics.tool:
         blocks.append(tool_basis(arm, at))
     return np.concatenate(blocks, axis=1)
 
 
-def gravity_basis(arm: Arm, joints_rad: Array) -> Array:
-    """Return the loads (..., 6), -1 .. 1: cosine and sine of each pair of `GRAVITY_LINKS`."""
-    links = link_transforms(arm, joints_rad)
-    shoulder = links[..., 0, :, :]
-    elbow = shoulder @ links[..., 1, :, :]
-    wrist = elbow @ links[..., 2, :, :] @ links[..., 3, :, :]
-    upper = _direction(elbow[..., :3, 3] - shoulder[..., :3, 3])
-    fore = _direction(wrist[..., :3, 3] - elbow[..., :3, 3])
-    axis_2, axis_3 = shoulder[..., :3, 2], elbow[..., :3, 2]
-    pairs = ((axis_2, upper), (axis_2, fore), (axis_3, fore))
-    columns = [each for axis, link in pairs for each in (_lever(axis, link), link[..., 2])]
-    return np.stack(columns, axis=-1)
-
-
-def tool_basis(arm: Arm, joints_rad: Array) -> Array:
-    """A tool's loads (..., 24), -1 .. 1: of each axis, by the flange's lever, over the longest
-    there is, and by a mass off the flange along its x, y and z.
-    """
-    links = link_transforms(arm, joints_rad)
-    frames = [np.broadcast_to(np.eye(4), links[..., 0, :, :].shape)]
-    for row in range(6):
-        frames.append(frames[-1] @ links[..., row, :, :])
-    lengths_mm = np.abs(arm.a_mm) + np.abs(arm.d_mm)
-    flange, columns = frames[6], []
-    for row in range(6):
-        reach_mm = max(float(lengths_mm[row:].sum()), 1.0)
-        axis = frames[row][..., :3, 2]
-        columns.append(_lever(axis, (flange[..., :3, 3] - frames[row][..., :3, 3]) / reach_mm))
-        columns += [_lever(axis, flange[..., :3, n]) for n in range(3)]
-    return np.stack(columns, axis=-1)
-
-
-def _lever(axis: Array, link: Array) -> Array:
-    """Rise of a link's tip per rotation about an axis: the cosine of its slope."""
-    return axis[..., 0] * link[..., 1] - axis[..., 1] * link[..., 0]
-
-
-def _direction(vectors: Array) -> Array:
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0))
+def _drive_basis(arm: Arm, joints_rad: Array) -> Array:
+    """Return cos q, sin q, cos 2q, sin 2q of each revolute joint, and q of each prismatic one."""
+    angles = joints_rad[..., None] * np.array(ORDERS)
+    waves = np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(*joints_rad.shape, -1)
+    columns = [
+        waves[:, axis] if turns else joints_rad[:, axis, None]
+        for axis, turns in enumerate(arm.turning)
+    ]
+    return np.concatenate(columns, axis=1)

@@ -33,7 +33,7 @@ class ManyContradict(IdentificationError):
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """M poses: joints commanded (M, 6) in rad, and positions of K reflectors, (M, K, 3) in mm.
+    """M poses: joints commanded (M, n) in rad, and positions of K reflectors, (M, K, 3) in mm.
 
     NaN: not measured. ``covariance_mm2`` (M, K, 3, 3) is that of each averaged reading, zero where
     unknown. The frame is the caller's: {B}, or a tracker's.
@@ -65,13 +65,13 @@ class Readings:
 
 
 FOLDS = 5
-SAME_RAD = np.radians(0.05)  # joints that differ by no more lead to the same errors
+SAME_RAD = np.radians(0.05)  # joints that differ by no more (.9 mm) lead to the same errors
 
 
 def pose_numbers(joints_rad: Array) -> Ints:
     """Number (N,) of each row's pose, from 0.
 
-    All joints (N, 6) of a pose are within `SAME_RAD` of its first in ascending order, so that poses
+    All joints (N, n) of a pose are within `SAME_RAD` of its first in ascending order, so that poses
     along a line of small steps stay distinct. Labels do not help: a re-measured pose has another
     label, but the same errors. The rows' order does not matter.
     """
@@ -105,7 +105,7 @@ def pose_folds(joints_rad: Array) -> Ints:
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """Standard deviations: of a coordinate of a reading, of a pose, and of the joints (6,)."""
+    """Standard deviations: of a coordinate of a reading, of a pose, and of the joints (n,)."""
 
     TYPICAL_MM, TYPICAL_RAD = 0.02, 30e-6  # where the estimate starts, and what few data lean on
 
@@ -114,9 +114,9 @@ class Noise:
     joint_rad: Array
 
     @classmethod
-    def of_poses(cls, reflectors: int) -> Noise:
+    def of_poses(cls, reflectors: int, joints: int = 6) -> Noise:
         pose_mm = cls.TYPICAL_MM if reflectors > 1 else 0.0
-        return cls(cls.TYPICAL_MM, pose_mm, np.zeros(6))
+        return cls(cls.TYPICAL_MM, pose_mm, np.zeros(joints))
 
     @classmethod
     def of_joints(cls, reflectors: int = 1) -> Noise:
@@ -124,8 +124,8 @@ class Noise:
         return replace(cls.of_poses(reflectors), joint_rad=np.full(6, cls.TYPICAL_RAD))
 
     @classmethod
-    def independent(cls, reading_mm: float) -> Noise:
-        return cls(reading_mm, 0.0, np.zeros(6))
+    def independent(cls, reading_mm: float, joints: int = 6) -> Noise:
+        return cls(reading_mm, 0.0, np.zeros(joints))
 
     def scaled(self, factor: float) -> Noise:
         return Noise(self.reading_mm * factor, self.pose_mm * factor, self.joint_rad * factor)
@@ -139,7 +139,7 @@ class Noise:
     def covariance(self, by_joint: Array, own_mm2: Array, known: Bools) -> Array:
         """Covariances (M, 3K, 3K) of the poses' readings.
 
-        ``by_joint`` (M, K, 3, 6) and each reading's own covariance (M, K, 3, 3). An unknown reading
+        ``by_joint`` (M, K, 3, n) and each reading's own covariance (M, K, 3, 3). An unknown reading
         (M, K) has variance 1 and no effect on others.
         """
         levers, shifts = self._joined(by_joint, known), self._shifts(known)
@@ -196,8 +196,9 @@ class Noise:
 
     @staticmethod
     def _joined(by_joint: Array, known: Bools) -> Array:
-        """Return the joints' levers (M, 3K, 6), zero for unknown readings."""
-        return np.where(known[..., None, None], by_joint, 0.0).reshape(len(known), -1, 6)
+        """Return the joints' levers (M, 3K, n), zero for unknown readings."""
+        levers = np.where(known[..., None, None], by_joint, 0.0)
+        return levers.reshape(len(known), -1, by_joint.shape[-1])
 
     @staticmethod
     def _shifts(known: Bools) -> Array:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hilcell.calibration.grid import Pairs, binned, outlying
 from hilcell.cell.file import load_cell
 from hilcell.geometry.inverse import NominalRobot
-from hilcell.geometry.jacobian import PARAMETERS, parameter_jacobian
+from hilcell.geometry.jacobian import parameter_jacobian, parameters
 from hilcell.geometry.kinematics import Array, forward
 
 SHAPE = (4, 4, 4)
@@ -69,7 +69,7 @@ def test_the_difference_of_eq_8_is_in_mm() -> None:
 def position_errors(joints: np.ndarray, seed: int) -> np.ndarray:
     """Return errors (N, 3) in {B} of a robot with random link errors."""
     rng = np.random.default_rng(seed)
-    sigma = np.array([0.3 if "mm" in name else 3e-4 for name in PARAMETERS])
+    sigma = np.array([0.3 if "mm" in name else 3e-4 for name in parameters(ARM)])
     error: np.ndarray = parameter_jacobian(ARM, joints)[:, :3] @ rng.normal(0, sigma)
     return error
 

@@ -8,20 +8,32 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hilcell.geometry.frames import apply
-from hilcell.geometry.kinematics import forward
-from hilcell.identification.kinematics import GRAVITY_LINKS, LINKS, Kinematics, gravity_basis
+from hilcell.geometry.kinematics import Arm, forward
+from hilcell.identification.kinematics import Kinematics
+from hilcell.identification.weight import gravity_basis, gravity_loads, tool_basis, tool_loads
+from tests.hilcell.geometry.test_kinematics import chain_of
 from tests.hilcell.identification.robots import ARM, SMR_MM, T_L_B, Robot, curve
 
 seeds = st.integers(0, 2**32 - 1)
-GRAVITY_AXES = [axis for axis, _ in GRAVITY_LINKS for _ in range(2)]
+GRAVITY_AXES = [axis for axis, _ in gravity_loads(ARM)]
 CURVES = (curve(0, (31.0, 170.0), 1), curve(2, (62.5,), 2))
 
 
-@given(seeds)
+def drawn(kinematics: Kinematics, seed: int) -> tuple[Robot, np.ndarray]:
+    """Return a robot of six axes or any chain, and joints of it (3, n)."""
+    robot = Robot.drawn(kinematics, seed)
+    shape = 3, len(kinematics.arm)
+    return robot, np.random.default_rng([seed, 2]).uniform(-1.0, 1.0, shape)
+
+
+@pytest.mark.parametrize("any_chain", [False, True])
+@given(seed=seeds)
 @settings(max_examples=3)
-def test_derivatives_are_those_of_the_positions(seed: int) -> None:
-    robot = Robot.drawn(Kinematics(ARM, 2, curves=CURVES), seed)
-    joints = robot.joints_rad(seed, 3)
+def test_derivatives_are_those_of_the_positions(seed: int, any_chain: bool) -> None:
+    kinematics = Kinematics(ARM, 2, curves=CURVES)
+    if any_chain:
+        kinematics = Kinematics(chain_of(np.random.default_rng(seed)), 2, tool=True)
+    robot, joints = drawn(kinematics, seed)
     found = robot.kinematics.linearised(robot.state, joints)
     np.testing.assert_allclose(
         found.positions_mm, robot.kinematics.positions_mm(robot.state, joints), atol=1e-9
@@ -43,11 +55,11 @@ def test_derivatives_are_those_of_the_positions(seed: int) -> None:
 @given(seeds)
 @settings(max_examples=10)
 def test_derivatives_by_joints_are_those_of_the_positions(seed: int) -> None:
-    robot = Robot.drawn(Kinematics(ARM, 2, waves=False, gravity=False), seed)
-    joints = robot.joints_rad(seed, 3)
+    arm = chain_of(np.random.default_rng(seed))
+    robot, joints = drawn(Kinematics(arm, 2, waves=False, gravity=False), seed)
     found = robot.kinematics.linearised(robot.state, joints).by_joint
-    for axis in range(6):
-        step = 1e-6 * np.eye(6)[axis]
+    for axis in range(len(arm)):
+        step = 1e-6 * np.eye(len(arm))[axis]
         high, low = (robot.kinematics.positions_mm(robot.state, joints + s * step) for s in (1, -1))
         np.testing.assert_allclose(found[..., axis], (high - low) / 2e-6, atol=1e-2)
 
@@ -76,11 +88,11 @@ def test_a_curve_turns_its_own_joint() -> None:
 def test_gravity_bends_the_joints_by_its_loads() -> None:
     """Of two robots at the same joints, each by its own: the loads are kept from step to step."""
     bent, stiff = Kinematics(ARM, waves=False), Kinematics(ARM, waves=False, gravity=False)
-    state = replace(bent.start(T_L_B, SMR_MM), values=np.zeros(LINKS + len(GRAVITY_AXES)))
-    state.values[LINKS:] = 1e-4 * np.arange(1.0, 7.0)
+    state = replace(bent.start(T_L_B, SMR_MM), values=np.zeros(bent.links + len(GRAVITY_AXES)))
+    state.values[bent.links :] = 1e-4 * np.arange(1.0, 7.0)
     joints = Robot(bent, state).joints_rad(1, 5)
     by_axis = np.eye(6)[GRAVITY_AXES]
-    wanted = (gravity_basis(ARM, joints) * state.values[LINKS:]) @ by_axis
+    wanted = (gravity_basis(ARM, joints) * state.values[bent.links :]) @ by_axis
     for _ in range(2):
         np.testing.assert_allclose(bent.joints_of(state, joints) - joints, wanted, atol=1e-15)
         assert not (stiff.joints_of(stiff.start(T_L_B, SMR_MM), joints) - joints).any()
@@ -94,3 +106,35 @@ def test_gravity_loads_a_horizontal_link_most(axis: int) -> None:
     loads = gravity_basis(ARM, joints)[0]
     own = loads[[n for n, each in enumerate(GRAVITY_AXES) if each == axis]]
     np.testing.assert_allclose(np.abs(own), [1.0, 0.0] * (len(own) // 2), atol=1e-9)
+
+
+RAIL = Arm(
+    a_mm=np.array([0.0, *ARM.a_mm]),
+    alpha_rad=np.array([0.0, *ARM.alpha_rad]),
+    d_mm=np.array([0.0, *ARM.d_mm]),
+    offset_rad=np.array([0.0, *ARM.offset_rad]),
+    sign=np.array([1.0, *ARM.sign]),
+    tool=np.eye(4),
+    beta_rad=np.zeros(7),
+    prismatic=(0,),
+)
+"""`ARM` on a column along its axis 1."""
+
+
+def test_weight_loads_an_arm_on_a_column_as_one_on_the_floor() -> None:
+    joints = np.random.default_rng(1).uniform(-1.0, 1.0, (5, 7))
+    for loads, basis in ((gravity_loads, gravity_basis), (tool_loads, tool_basis)):
+        assert loads(RAIL) == [(axis + 1, load) for axis, load in loads(ARM)]
+        np.testing.assert_allclose(basis(RAIL, joints), basis(ARM, joints[:, 1:]), atol=1e-12)
+
+
+def test_weight_loads_each_axis_of_other_chains_by_the_links_before_it() -> None:
+    """A level chain of three parallel axes: each link stretched out loads with its whole length."""
+    row = np.zeros(3)
+    chain = Arm(row + 500.0, row, row, row, row + 1.0, np.eye(4), row)
+    level = replace(chain, alpha_rad=np.array([np.pi / 2, 0.0, 0.0]))
+    assert [axis for axis, _ in gravity_loads(level)] == [0, 0, 0, 1, 1, 2]
+    found = gravity_basis(level, np.array([0.3, 0.2, -0.2]))
+    np.testing.assert_allclose(found, [0.0, 0.0, 0.0, np.cos(0.2), 1.0, 1.0], atol=1e-12)
+    gantry = replace(chain, prismatic=(0, 1, 2))
+    assert gravity_basis(gantry, row).shape == tool_basis(gantry, row).shape == (0,)
