@@ -1,6 +1,9 @@
 """A robot's nominal kinematics, and their file for ``hilcell fit``.
 
-``robot.toml``: standard DH rows, ``Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha)``.
+``robot.toml``: DH rows, standard, ``Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha)``, or modified
+(Craig), ``Rx(alpha) Tx(a) Rz(sign q + offset) Tz(d)``; of a prismatic joint ``Rz(offset)
+Tz(sign q + d)``. Modified rows become standard ones: the first Rx and Tx are the base's, those of
+the next row end each row.
 """
 
 from __future__ import annotations
@@ -15,50 +18,95 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import ArrayLike
 
-from hilcell.cell.file import Joint, arm_from_joints
 from hilcell.cell.settings import SettingsError, convert, read_text, unreadable
 from hilcell.compensation.targets import MOST, MOST_DEG
-from hilcell.geometry.kinematics import Arm, Array, forward
+from hilcell.geometry.frames import pose_from_zyx
+from hilcell.geometry.kinematics import MM, Arm, Array, forward
 
 Length = Annotated[float, Meta(ge=-MOST, le=MOST)]
 Angle = Annotated[float, Meta(ge=-MOST_DEG, le=MOST_DEG)]
+Convention = Literal["standard-dh", "modified-dh"]
+MOST_JOINTS = 9
 
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A robot's nominal kinematics.
+    """A robot's nominal kinematics: a serial chain of 1 to 9 revolute and prismatic joints.
 
-    ``arm`` has its tool point on the flange behind the sixth row; ``base`` (4, 4) in the robot's
-    root frame; ``tool`` (4, 4) on the flange, the frame of the targets. Joint limits (2, 6),
-    infinite where none are given.
+    ``arm`` has its tool point on the flange behind the last row; ``base`` (4, 4) in the robot's
+    root frame; ``tool`` (4, 4) on the flange, the frame of the targets. Joint limits (2, n), or
+    (2, 1) and infinite where none are given. A value of a prismatic joint is in m.
     """
 
     name: str
     arm: Arm
     base: Array = field(default_factory=lambda: np.eye(4))
     tool: Array = field(default_factory=lambda: np.eye(4))
-    limits_rad: Array = field(default_factory=lambda: np.array([[-np.inf] * 6, [np.inf] * 6]))
+    limits_rad: Array = field(default_factory=lambda: np.array([[-np.inf], [np.inf]]))
 
     @classmethod
-    def from_dh(cls, name: str, rows: ArrayLike, sign: ArrayLike = 1.0) -> Self:
-        """Robot of standard DH rows (6, 4): a_mm, alpha_deg, d_mm, offset_deg.
+    def from_dh(
+        cls,
+        name: str,
+        rows: ArrayLike,
+        sign: ArrayLike = 1.0,
+        *,
+        prismatic: ArrayLike = False,
+        coupling: float = 0.0,
+        convention: Convention = "standard-dh",
+    ) -> Self:
+        """Robot of DH rows (n, 4): a_mm, alpha_deg, d_mm, offset_deg.
 
-        Row n is ``Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha)``; ``sign`` (6,) is -1 for a joint that
-        counts backwards. Raises `ValueError`.
+        Standard row n is ``Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha)``, a modified one
+        ``Rx(alpha) Tx(a) Rz(sign q + offset) Tz(d)``. ``sign`` (n,) is -1 for a joint that counts
+        backwards, ``prismatic`` (n,) true for one that shifts by sign q, added to d. ``coupling``
+        is 1 or -1 where a motion of joint 2 alone turns axis 3 as well, with or against it. Raises
+        `ValueError`.
         """
-        dh, signs = np.array(rows, dtype=float), np.broadcast_to(np.array(sign, dtype=float), 6)
-        if dh.shape != (6, 4) or not np.isfinite(dh).all():
-            raise ValueError(f"DH rows: expected finite numbers (6, 4), got shape {dh.shape}")
+        dh = np.array(rows, dtype=float)
+        count = len(dh)
+        if not 1 <= count <= MOST_JOINTS:
+            raise ValueError(f"expected 1 to {MOST_JOINTS} joints, got {count}")
+        if dh.shape != (count, 4) or not np.isfinite(dh).all():
+            raise ValueError(f"DH rows: expected finite numbers (n, 4), got shape {dh.shape}")
+        signs = np.broadcast_to(np.array(sign, dtype=float), count)
         if not (np.abs(signs) == 1.0).all():
             raise ValueError(f"DH signs: expected 1 or -1, got {signs.tolist()}")
-        joints = [
-            Joint(a_mm=a_mm, alpha_deg=alpha_deg, d_mm=d_mm, offset_deg=offset_deg, sign=int(each))
-            for (a_mm, alpha_deg, d_mm, offset_deg), each in zip(dh.tolist(), signs, strict=True)
-        ]
-        return cls(name, arm_from_joints(joints, np.eye(4)))
+        shifts = np.flatnonzero(np.broadcast_to(np.array(prismatic, dtype=bool), count))
+        if coupling not in (-1.0, 0.0, 1.0):
+            raise ValueError(f"coupling: expected 1 or -1, got {coupling:g}")
+        if coupling and (count < 3 or {1, 2} & set(shifts.tolist())):
+            raise ValueError("coupling: joints 2 and 3 must be revolute")
+        base, (a_mm, alpha_deg, d_mm, offset_deg) = np.eye(4), dh.T
+        if convention == "modified-dh":
+            base = pose_from_zyx(a_mm[0], 0.0, 0.0, 0.0, 0.0, alpha_deg[0])
+            a_mm, alpha_deg = (np.append(each[1:], 0.0) for each in (a_mm, alpha_deg))
+        arm = Arm(
+            a_mm,
+            np.radians(alpha_deg),
+            d_mm,
+            np.radians(offset_deg),
+            signs,
+            np.eye(4),
+            np.zeros(count),
+            float(coupling),
+            tuple(shifts.tolist()),
+        )
+        return cls(name, arm, base)
+
+    @property
+    def joint_columns(self) -> list[str]:
+        """Names (n) of the joints' columns in lists: ``j1_deg``, of a prismatic joint ``j1_mm``."""
+        units = ("mm" if row in self.arm.prismatic else "deg" for row in range(len(self.arm)))
+        return [f"j{number}_{unit}" for number, unit in enumerate(units, start=1)]
+
+    @property
+    def column_units(self) -> Array:
+        """The units (n,) of these columns, in rad or m."""
+        return np.where(self.arm.turning, np.radians(1.0), 1.0 / MM)
 
     def poses(self, joints_rad: ArrayLike) -> Array:
-        """Tool frames (N, 4, 4) in the root frame, mm, at nominal joints (N, 6)."""
+        """Tool frames (N, 4, 4) in the root frame, mm, at nominal joints (N, n)."""
         arm = replace(self.arm, tool=self.tool)
         return self.base @ forward(arm, np.asarray(joints_rad, dtype=float))
 
@@ -71,25 +119,33 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     d_mm: Length
     offset_deg: Angle
     sign: Annotated[int, Meta(ge=-1, le=1)] = 1
+    type: Literal["revolute", "prismatic"] = "revolute"
 
 
 class RobotModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The table of ``robot.toml``; targets are meant for the flange."""
 
     name: str
-    convention: Literal["standard-dh"]
+    convention: Convention
     joint: list[Row]
+    coupling: Annotated[int, Meta(ge=-1, le=1)] = 0
 
     def __post_init__(self) -> None:
-        if len(self.joint) != 6:
-            raise ValueError(f"expected six joints, got {len(self.joint)}")
         for number, row in enumerate(self.joint, start=1):
             if not row.sign:
                 raise ValueError(f"joint {number}: sign must be 1 or -1")
+        self.robot()
 
     def robot(self) -> Robot:
-        joints = [Joint(**msgspec.structs.asdict(row)) for row in self.joint]
-        return Robot(self.name, arm_from_joints(joints, np.eye(4)))
+        joints = self.joint
+        return Robot.from_dh(
+            self.name,
+            [[row.a_mm, row.alpha_deg, row.d_mm, row.offset_deg] for row in joints],
+            [row.sign for row in joints],
+            prismatic=[row.type == "prismatic" for row in joints],
+            coupling=self.coupling,
+            convention=self.convention,
+        )
 
 
 class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

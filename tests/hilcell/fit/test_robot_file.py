@@ -6,11 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.targets import read_targets
-from hilcell.fit.robot_file import read_dh
+from hilcell.fit.robot_file import Robot, read_dh
 
 ROW = "[[robot.joint]]\na_mm = 10\nalpha_deg = -90.0\nd_mm = 20.5\noffset_deg = 0\n"
 ROBOT = '[robot]\nname = "arm"\nconvention = "standard-dh"\n'
@@ -32,6 +35,37 @@ def test_robot_is_read(written: Write) -> None:
     np.testing.assert_array_equal(arm.tool, np.eye(4))
 
 
+@given(st.integers(0, 2**32 - 1))
+def test_modified_rows_are_the_product_of_their_motions(seed: int) -> None:
+    """Of any chain, against Craig's product, written with independent rotations."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(1, 10))
+    rows, q = rng.uniform(-180, 180, (count, 4)), rng.uniform(-1, 1, count)
+    prismatic, sign = rng.uniform(size=count) < 0.4, rng.choice([-1.0, 1.0], count)
+    robot = Robot.from_dh("any", rows, sign, prismatic=prismatic, convention="modified-dh")
+    wanted = RigidTransform.identity()
+    for (a_mm, alpha_deg, d_mm, offset_deg), each, shifts in zip(
+        rows, sign * q, prismatic, strict=True
+    ):
+        turn_deg, shift_mm = (0.0, 1000 * each) if shifts else (np.degrees(each), 0.0)
+        for axis, length_mm, angle_deg in (
+            (0, a_mm, alpha_deg),
+            (2, d_mm + shift_mm, offset_deg + turn_deg),
+        ):
+            turn = Rotation.from_euler("xyz"[axis], angle_deg, degrees=True)
+            wanted *= RigidTransform.from_components(length_mm * np.eye(3)[axis], turn)
+    np.testing.assert_allclose(robot.poses(q), wanted.as_matrix(), atol=1e-9)
+
+
+def test_a_rail_and_a_coupled_axis_are_read(written: Write) -> None:
+    rail = ROW + 'type = "prismatic"\n'
+    robot = read_dh(written(ROBOT + rail + 6 * ROW))
+    assert robot.arm.prismatic == (0,)
+    assert robot.joint_columns == ["j1_mm", *(f"j{n}_deg" for n in range(2, 8))]
+    np.testing.assert_array_equal(robot.column_units, [1e-3, *6 * [np.pi / 180]])
+    assert read_dh(written(ROBOT + "coupling = -1\n" + 6 * ROW)).arm.coupling == -1.0
+
+
 def test_a_byte_order_mark_is_taken_in_every_file(written: Write, tmp_path: Path) -> None:
     assert read_dh(written("\ufeff" + ROBOT + 6 * ROW)).name == "arm"
     targets = "\ufeffname,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\nH1,1,2,3,0,0,0\n"
@@ -42,9 +76,7 @@ def test_a_byte_order_mark_is_taken_in_every_file(written: Write, tmp_path: Path
 
 
 def test_all_problems_of_a_robot_come_at_once(written: Write) -> None:
-    text = (
-        (ROBOT + 6 * ROW).replace("standard-dh", "modified-dh").replace("a_mm = 10", "a_m = 10", 1)
-    )
+    text = (ROBOT + 6 * ROW).replace("standard-dh", "screws").replace("a_mm = 10", "a_m = 10", 1)
     said = file_problems(read_dh, written(text.replace("d_mm = 20.5", "d_mm = nan", 1)))
     assert "robot.convention" in said
     for key in ("a_m", "a_mm", "d_mm"):
@@ -54,7 +86,12 @@ def test_all_problems_of_a_robot_come_at_once(written: Write) -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        (ROBOT + 5 * ROW, "robot: "),
+        (ROBOT + "joint = []\n", "robot: expected 1 to 9 joints, got 0"),
+        (ROBOT + 10 * ROW, "robot: expected 1 to 9 joints, got 10"),
+        (ROBOT + 6 * ROW + 'type = "helical"\n', "robot.joint[5].type"),
+        (ROBOT + "coupling = 2\n" + 6 * ROW, "robot.coupling"),
+        (ROBOT + "coupling = 1\n" + 2 * ROW, "coupling: joints 2 and 3"),
+        (ROBOT + "coupling = 1\n" + 3 * ROW + 'type = "prismatic"\n', "coupling: joints 2 and 3"),
         (ROBOT + 5 * ROW + ROW + "sign = 0\n", "joint 6: sign"),
         (ROBOT + 5 * ROW + ROW + "sign = 2\n", "robot.joint[5].sign"),
         (ROBOT.replace('"arm"', "3") + 6 * ROW, "robot.name"),
