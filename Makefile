@@ -14,7 +14,7 @@ export OPENBLAS_NUM_THREADS = 1
 .PHONY: run test together waiting processes alone recordings nightly mutants torture lint types docs gauges bench bundle lock clean
 
 run: $(VENV)/ready  ## calibrate the simulated paper cell and print the table
-	$(BIN)/hilcell run
+	$(BIN)/hilcell run --full
 
 test: $(VENV)/more  ## all lanes and lint at once; then the deadlines, with nothing beside
 	@export GOLDEN_RUNS=$$(mktemp -d); trap 'rm -rf "$$GOLDEN_RUNS"' EXIT; \

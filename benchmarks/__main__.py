@@ -55,7 +55,9 @@ def journal(folder: Path) -> None:
 
 def calibration(folder: Path) -> None:
     began = time.perf_counter()
-    subprocess.run([*HILCELL, "run", "--json", "--runs", str(folder)], check=True, stdout=-3)
+    subprocess.run(
+        [*HILCELL, "run", "--full", "--json", "--runs", str(folder)], check=True, stdout=-3
+    )
     taken = time.perf_counter() - began
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
     print(f"calibrate        {taken:6.1f} s   peak memory of its largest process {peak:.0f} MB")

@@ -117,4 +117,5 @@ CALIBRATE = Procedure(
     ),
     Validate.table,
     words=words,
+    quick=True,
 )

@@ -35,7 +35,7 @@ SETTINGS = {
 }
 runs = tempfile.TemporaryDirectory()
 command = [sys.executable, "-m", "hilcell", "run", "calibrate", "--cell", "paper", "--unattended"]
-command += ["--seed", "1", "--name", "tutorial", "--runs", runs.name]
+command += ["--full", "--seed", "1", "--name", "tutorial", "--runs", runs.name]
 for key, value in SETTINGS.items():
     command += ["--set", f"{key}={value}"]
 subprocess.run(command, check=True, capture_output=True)

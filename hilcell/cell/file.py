@@ -700,6 +700,15 @@ def load_cell(where: str, overrides: Mapping[str, str] | None = None) -> Cell:
         raise located(where, error.problems, changed) from None
 
 
+def states(where: str, overrides: Mapping[str, str], key: str) -> bool:
+    """Whether a cell file or the overrides state ``key``, ``table.name``, valid or not."""
+    values = parsed(read_source(where), where)
+    override_all(values, overrides)
+    table, _, name = key.partition(".")
+    of = values.get(table)
+    return isinstance(of, Mapping) and name in of
+
+
 def located(where: str, problems: Iterable[str], overrides: Mapping[str, str]) -> SettingsError:
     """Return the problems of a cell file with their lines, where known.
 

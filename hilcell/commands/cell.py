@@ -34,7 +34,7 @@ from hilcell.commands.signatures import Check, Diagram, Sim
 from hilcell.decoding import Json
 from hilcell.ports import Exercise, HasSheet, HilcellError, SetsTraps, Training
 from hilcell.run.procedure import Procedure
-from hilcell.run.run_plan import machine_seed
+from hilcell.run.run_plan import machine_seed, with_plan
 from hilcell.run.states import CALIBRATION, RUN, mermaid
 
 HELP = "A number injects that fault, Enter a random one; m lists the faults, q ends the cell."
@@ -108,13 +108,13 @@ def train(cell: Training, ended: threading.Event) -> None:
 
 
 def check(args: Check) -> int:
-    cell = _load_checked(args.cell, dict(args.settings))
+    procedure: Procedure = load_entry("procedures", "calibrate")
+    cell = _load_checked(args.cell, with_plan(args.cell, dict(args.settings), procedure))
     if warning := check_identity(args.cell, cell):
         print_message(warning)
     for table in (cell.touch, cell.targets):
         if table is not None and table.station:
             cell.station_named(table.station)  # `calibrate` needs neither
-    procedure: Procedure = load_entry("procedures", "calibrate")
     plan = procedure.plan(cell, seed=1)
     able = abilities(cell)
     two_faces = able["tracker_turns_over"] and not (cell.plan.quick or cell.layout.by_hand)

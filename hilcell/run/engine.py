@@ -281,7 +281,7 @@ class NewEngine(Engine):
             operator=order.operator,
             job=order.job,
             versions=own | {package: version(package) for package in packages},
-            settings=dict(order.settings),
+            settings=dict(plan.settings),
             utc_offset_min=offset_min(),
             accepted=list(plan.accepted),
         )

@@ -50,6 +50,15 @@ class Order(Signature):
     procedure: str = option("procedure (default: calibrate)", default="calibrate", positional=True)
     cell: str = CELL
     settings: tuple[tuple[str, str], ...] = SETTINGS
+    full: bool = option(
+        "all targets of [validation] and the whole grid: the paper's (`plan.quick=false`)",
+        default=False,
+    )
+    quick: bool = option(
+        "as few targets as the verdict needs: calibrate's plan unless the cell file has another "
+        "(`plan.quick=true`)",
+        default=False,
+    )
     seed: int = option(
         "seed of random targets, and of the simulated machine without --machine-seed (default: 1)",
         "N",
@@ -78,6 +87,16 @@ class Order(Signature):
     dry_run: bool = option("check and print the plan only", default=False)
     json: bool = JSON_LINES
 
+    @property
+    def stated(self) -> dict[str, str]:
+        """The stated values of the cell, with that of the plan; raises `HilcellError` for two."""
+        from hilcell.errors import HilcellError
+
+        if self.full and self.quick:
+            raise HilcellError("--full and --quick: expected one of them")
+        plan = {"plan.quick": "true" if self.quick else "false"}
+        return dict(self.settings) | (plan if self.full or self.quick else {})
+
     def check(self, say: Callable[[str], object]) -> NewRun:
         """Return the run, planned; raises `HilcellError` where it must not begin.
 
@@ -93,12 +112,13 @@ class Order(Signature):
         from hilcell.journal.runs import new_run
         from hilcell.run import run_plan
 
-        cell = load_measured(self.cell, dict(self.settings))
+        procedure: Procedure = load_entry("procedures", self.procedure)
+        settings = run_plan.with_plan(self.cell, self.stated, procedure)
+        cell = load_measured(self.cell, settings)
         run_plan.check_of_simulator(cell, "--speed", self.speed)
         run_plan.check_of_simulator(cell, "--machine-seed", self.machine_seed)
         if warning := check_identity(self.cell, cell):
             say(warning)
-        procedure: Procedure = load_entry("procedures", self.procedure)
         procedure.check_attended(cell, unattended=self.attendance.unattended)
         procedure.check(cell)
         accepted, machine = list[str](), self.machine_seed
@@ -113,7 +133,7 @@ class Order(Signature):
         try:
             check_options(cell)
         except SettingsError as error:
-            raise located(self.cell, error.problems, dict(self.settings)) from None
+            raise located(self.cell, error.problems, settings) from None
         steps = procedure.plan(cell, self.seed)
         check_replay(cell, self.procedure, self.seed)
         if not self.dry_run:
@@ -124,6 +144,7 @@ class Order(Signature):
             procedure=procedure,
             points=steps.points,
             steps=steps,
+            settings=settings,
             machine_seed=run_plan.machine_seed(cell, self.seed, machine),
             accepted=accepted,
         )

@@ -104,6 +104,7 @@ class Procedure:
     ``of_rail``: needs a cell with a rail. ``by_hand``: work of an operator during the run, such as
     "carry each reflector", so that it never runs unattended; "" for none.
     ``figures``: ``module:class`` of the figures that only its own report has.
+    ``quick``: its plan is quick unless the order or the cell file states `plan.quick`.
     """
 
     name: str
@@ -116,6 +117,7 @@ class Procedure:
     of_rail: bool = False
     by_hand: str = ""
     figures: str = ""
+    quick: bool = False
 
     def used_in(self, cell: Cell) -> str:
         """Return the cell's table that names the calibration to start from, "" for none."""

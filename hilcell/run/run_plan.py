@@ -6,13 +6,13 @@ A run keeps the cell file it began with; a later edit has no effect and is repor
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from hilcell import __version__
 from hilcell.cell.differences import differences
-from hilcell.cell.file import Cell, load_cell
+from hilcell.cell.file import Cell, load_cell, states
 from hilcell.cell.settings import SettingsError
 from hilcell.cell.source import built_in_cells
 from hilcell.journal.log import Log, changed_asset_kinds
@@ -59,10 +59,11 @@ class RunPlan:
 @dataclass(frozen=True, kw_only=True)
 class NewRun(RunPlan):
     """``machine_seed`` is the simulated machine's, None where no simulator is started; ``accepted``
-    are the accepted defects of the calibration that the run uses.
+    are the accepted defects of the calibration that the run uses, ``settings`` those of its cell.
     """
 
     steps: Plan
+    settings: Mapping[str, str]
     machine_seed: int | None
     accepted: Sequence[str]
 
@@ -78,6 +79,16 @@ class ResumedRun(RunPlan):
     continues: bool
     retakes: Sequence[str]
     operator_present: bool
+
+
+QUICK = "plan.quick"
+
+
+def with_plan(where: str, settings: Mapping[str, str], procedure: Procedure) -> dict[str, str]:
+    """Return the settings, with the quick plan where it is the procedure's and none is stated."""
+    if not procedure.quick or states(where, settings, QUICK):
+        return dict(settings)
+    return {**settings, QUICK: "true"}
 
 
 def check_of_simulator(cell: Cell, option: str, value: float | None) -> None:

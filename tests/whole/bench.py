@@ -45,6 +45,7 @@ LOOK_S = 0.02  # between two looks at what lasts: without a wait they keep a pro
 
 # A small calibration: every act of the real one, fewer points of each.
 SMALL = {
+    "plan.quick": "false",
     "grid.pitch_mm": "450.0",
     "validation.per_cell": "1",
     "validation.others": "8",

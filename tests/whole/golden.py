@@ -36,7 +36,7 @@ RUNS: dict[str, tuple[str, ...]] = {
     "sign-check": ("sign-check", "--unattended", *sets(SMALL)),
     "seats": ("calibrate", "--cell", "fixed", "--seed", "1", "--unattended", *sets(SMALL | SEATS)),
     "pose-test": ("iso9283", "--cell", "fixed", "--unattended", *sets(POSES)),
-    "calibration": ("calibrate", "--seed", "3"),
+    "calibration": ("calibrate", "--full", "--seed", "3"),
     "paper": ("paper", *PAPER, *sets(FEWER)),
     "paper-whole": ("paper", *PAPER),
 }

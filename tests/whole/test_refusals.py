@@ -37,7 +37,7 @@ def free_port() -> int:
         (["--set", "rail.sped_mm_s=3.0"], "speed_mm_s"),
         (["--set", "rail.speed_mm_s=nan"], "rail.speed_mm_s"),
         (["--set", "rail.options.chanel=x"], "channel"),
-        (["--set", "grid.centre.x_mm=2600.0"], "12 of 64"),
+        (["--set", "grid.centre.x_mm=2600.0"], "8 of 27"),
         (["--set", "tracker.max_range_mm=4000.0"], "range"),
         (["--set", "rail.driver=canopeen"], "canopen"),
         (["calibrat"], "calibrate"),
@@ -144,7 +144,7 @@ def test_a_simulated_cell_that_is_not_there(tmp_path: Path) -> None:
 
 
 def test_dry_run_opens_nothing_and_prints_the_plan(tmp_path: Path) -> None:
-    done = command("run", "--dry-run", "--json", "--runs", tmp_path / "runs")
+    done = command("run", "--full", "--dry-run", "--json", "--runs", tmp_path / "runs")
     assert done.returncode == 0
     plan, end = events(done.stdout)
     assert plan["kind"] == "plan"

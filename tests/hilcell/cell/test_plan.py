@@ -1,10 +1,16 @@
 """What a quick plan makes of a cell."""
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 
 from hilcell.calibration.grid import grid_of
 from hilcell.cell.file import coarsest_pitch_mm, load_cell
+from hilcell.cell.source import read_source
+from hilcell.ports import HilcellError
+from hilcell.run.order import Order
 
 
 @pytest.mark.parametrize(
@@ -31,3 +37,31 @@ def test_a_quick_grid_fills_the_same_cube() -> None:
     assert quick.shape == (3, 3, 3)
     assert np.array_equal(quick.origin_mm, full.origin_mm)
     assert np.array_equal(quick.far_mm, full.far_mm)
+
+
+@pytest.mark.parametrize(
+    ("words", "stated", "quick"),
+    [
+        ({}, "", True),
+        ({"full": True}, "", False),
+        ({"quick": True}, "[plan]\nquick = false\n", True),
+        ({}, "[plan]\nquick = false\n", False),
+        ({"settings": (("plan.quick", "false"),)}, "", False),
+        ({"settings": (("plan.bound_mm", "0.1"),)}, "[plan]\nquick = true\n", True),
+        ({"procedure": "robot-grid"}, "", False),
+        ({"procedure": "robot-grid", "quick": True}, "", True),
+    ],
+)
+def test_calibrate_is_quick_unless_another_plan_is_stated(
+    tmp_path: Path, words: dict[str, Any], stated: str, quick: bool
+) -> None:
+    file = tmp_path / "cell.toml"
+    file.write_text(f"{read_source('paper')}\n{stated}")
+    planned = Order(cell=str(file), runs=tmp_path, dry_run=True, **words).check(print)
+    assert planned.cell.plan.quick is quick
+    assert load_cell(str(file), planned.settings) == planned.cell  # as a resume reads it
+
+
+def test_one_plan_is_stated() -> None:
+    with pytest.raises(HilcellError, match="--full and --quick"):
+        Order(full=True, quick=True, runs=Path("r"), dry_run=True).check(print)

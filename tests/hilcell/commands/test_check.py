@@ -86,14 +86,17 @@ def test_a_file_that_is_no_text_of_a_cell_is_refused(
 
 
 def test_steps_that_do_nothing_are_named_with_their_cost() -> None:
-    words = ("check", "paper", "--set", "tracker.driver=leica-geocom")
+    full = ("--set", "plan.quick=false")
+    words = ("check", "paper", "--set", "tracker.driver=leica-geocom", *full)
     done = command(*words, "--json")
     (_, note, _) = notes = json.loads(done.stdout)["notes"]
     assert [each.split()[0] for each in notes] == ["two-face", "axis-sweeps", "two-face-closing"]
     assert done.returncode == 0
     assert note.startswith("axis-sweeps ")
     assert note in command(*words).stderr.splitlines()
-    assert json.loads(command("check", "paper", "--json").stdout)["notes"] == []
+    assert json.loads(command("check", "paper", "--json", *full).stdout)["notes"] == []
+    quick = json.loads(command("check", "paper", "--json").stdout)
+    assert [each.split()[0] for each in quick["notes"]] == ["two-face", "two-face-closing"]
 
 
 def test_a_real_cell_without_the_pause_at_a_first_pass_is_noted(cell: Path, text: str) -> None:
