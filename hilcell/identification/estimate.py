@@ -32,6 +32,7 @@ from hilcell.sanitize import counted
 AT_ONCE = 4096  # poses, so that their derivatives stay in the processor's cache
 LEAST_POSES = 20
 GROSS = 8.0  # scales, and standard deviations of its prediction, that no good reading misses by
+UNEXPLAINED_MM = 5.0  # scatter that is no robot's and no tracker's
 DETERMINED = 0.5  # of the prior's standard deviation: below, the data say more than the prior
 
 
@@ -136,6 +137,12 @@ def identify_trusted(
         noise = noise.improved(system.weighted, system.precision, linearised.by_joint, system.known)
         if noise.changed(before) <= 0.01:
             break
+    if not noise.reading_mm <= UNEXPLAINED_MM:
+        raise IdentificationError(
+            f"kinematics leave {noise.reading_mm:.3g} mm of scatter, expected <= "
+            f"{UNEXPLAINED_MM:g} mm; check robot, units, joint signs, and that poses "
+            "and readings belong together"
+        )
     state, system = solve(kinematics, readings, state, noise)
     return Estimate(kinematics, readings, state, noise, system, np.zeros_like(readings.known))
 
@@ -146,28 +153,47 @@ def solve(
     """Most probable state under a noise, and the system there; raises `IdentificationError`.
 
     What the readings do not determine (with one orientation, the reflector's position) lies along
-    curved valleys: steps across them are damped, and creeping along them ends by itself.
+    curved valleys: steps there are damped and bent (Transtrum, Sethna: geodesic acceleration).
     """
     system, damping, gain = System.at(kinematics, state, readings, noise), 0.0, np.inf
-    iterations = 100
-    settled, creeping = 1e-6, 1.0  # gains of chi^2: nothing is left to gain; nothing that matters
-    first_damping, held, eased = 1e-3, 10.0, 5.0
-    for _ in range(iterations):
-        if gain <= settled:
-            break
-        further = kinematics.moved(state, system.damped(damping) if damping else system.step)
+    settled, creeping = 1e-6, 1e-2  # gains of chi^2: none; of a step by a tenth of a sigma
+    first_damping, held, eased, patience, most = 1e-3, 10.0, 5.0, 10, 1000
+    count, crept, steps = 3 * np.count_nonzero(readings.known), 0, 0
+    while gain > settled and crept < patience and steps < most:
+        steps += 1
+        scatter = max(1.0, system.cost / count)  # over the assumed noise: sigma is as much larger
+        step = system.step
+        if damping:
+            step = _bent(kinematics, state, readings, system, *system.damped(damping))
+        further = kinematics.moved(state, step)
         other = System.at(kinematics, further, readings, noise)
         if other.cost <= system.cost + settled:
             gain = system.cost - other.cost
+            crept = crept + 1 if gain <= creeping * scatter else 0
             state, system, damping = further, other, damping / eased
         else:
             damping = max(held * damping, first_damping)
-    if not gain <= creeping:
+    if steps == most:
         raise IdentificationError(
-            f"kinematics do not settle: the last of {iterations} steps improves chi^2 by "
-            f"{gain:.3g}, expected <= {creeping:g}; check robot, units and joint signs"
+            f"kinematics do not settle: step {most} improves chi^2 by {gain:.3g}; check robot, "
+            "units and joint signs"
         )
     return state, system
+
+
+def _bent(
+    kinematics: Kinematics, state: State, readings: Readings, system: System, root: Array,
+    step: Array,
+) -> Array:  # fmt: skip
+    """A damped step (P,) bent along the valley by the positions' second derivative there."""
+    share, most_bent = 0.1, 0.75  # of the step: the curvature is taken there; the bend's largest
+    ahead = kinematics.moved(state, share * step)
+    moved_mm = kinematics.positions_mm(ahead, readings.joints_rad) - readings.xyz_mm
+    moved_mm = np.where(readings.known[..., None], moved_mm, 0.0).reshape(system.residual_mm.shape)
+    second_mm = (moved_mm + system.residual_mm) / share - system.design @ step
+    bend = system.towards(root, -second_mm / share)
+    size, added = (np.linalg.norm(kinematics.prior_root @ each) for each in (step, bend))
+    return step + bend if added <= most_bent * size else step
 
 
 def _robust(kinematics: Kinematics, readings: Readings, state: State) -> tuple[State, Bools]:
@@ -286,14 +312,24 @@ class System:
         """Return the step (P,) to the most probable parameters."""
         return self._factor[1]
 
-    def damped(self, damping: float) -> Array:
-        """Return the step (P,) held back by so many times the prior's information."""
+    def damped(self, damping: float) -> tuple[Array, Array]:
+        """Return a root R (P, P) and the step (P,), held back by so many times the prior's
+        information.
+        """
         R, step = self._factor
         size = len(step)
         held = np.column_stack([damping**0.5 * self.prior_root, np.zeros(size)])
         rows = np.concatenate([np.column_stack([R, R @ step]), held])
         both = np.asarray(np.linalg.qr(rows, mode="r"))
-        return np.asarray(np.linalg.solve(both[:size, :size], both[:size, size]))
+        root = both[:size, :size]
+        return root, np.asarray(np.linalg.solve(root, both[:size, size]))
+
+    def towards(self, root: Array, missed_mm: Array) -> Array:
+        """Return the step (P,) by a root (P, P) that makes up for residuals (M, N) alone."""
+        W = self._whitener
+        whitened = (W @ missed_mm[..., None]).ravel()
+        pull = (W @ self.design).reshape(-1, len(root)).T @ whitened
+        return np.asarray(np.linalg.solve(root, np.linalg.solve(root.T, pull)), dtype=float)
 
     @cached_property
     def cost(self) -> float:

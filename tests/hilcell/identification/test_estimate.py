@@ -7,6 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hilcell.geometry.inverse import refined
+from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.identification.estimate import (
     Estimate,
@@ -27,7 +29,7 @@ from hilcell.identification.measured_poses import (
     pose_folds,
     pose_numbers,
 )
-from tests.hilcell.identification.robots import ARM, SMR_MM, T_L_B, Robot, curve
+from tests.hilcell.identification.robots import ARM, MIDDLE_RAD, SMR_MM, T_L_B, Robot, curve
 
 KINEMATICS = Kinematics(ARM, 1)
 
@@ -121,6 +123,26 @@ def test_a_shifted_curve_is_found() -> None:
     sigma = np.sqrt(estimate.system.covariance[column, column])
     assert estimate.state.values[shift] == pytest.approx(350e-6, abs=3 * sigma)
     assert sigma < 0.5 * waves.shift_sigma_rad
+
+
+@pytest.mark.parametrize("seed", [0, 1, 5])
+def test_one_orientation_settles_by_itself(seed: int) -> None:
+    """What it leaves to the prior lies along a curved valley, here with waves that no parameter
+    describes.
+    """
+    robot = Robot.drawn(Kinematics(ARM, gravity=False, waves=False, tool=True), seed)
+    rng = np.random.default_rng(seed)
+    poses = np.tile(forward(ARM, MIDDLE_RAD[None]), (70, 1, 1))
+    poses[:, :3, 3] += rng.uniform(-400.0, 400.0, (70, 3))
+    joints = refined(ARM, poses, np.tile(MIDDLE_RAD, (70, 1)))[0]
+    at_mm = robot.kinematics.positions_mm(robot.state, joints + 2e-4 * np.sin(5.0 * joints + seed))
+    at_mm += rng.normal(0.0, 0.01, at_mm.shape)
+    readings = Readings(joints[:40], at_mm[:40], np.zeros((40, 1, 3, 3)))
+    T = T_L_B.copy()
+    T[:3, 3] += T[:3, :3] @ poses[0, :3, :3] @ SMR_MM[0]
+    estimate = identify(robot.kinematics, readings, robot.kinematics.start(T, np.zeros((1, 3))))
+    positions, _ = estimate.predict(joints[40:])
+    assert lengths_mm((positions - at_mm[40:])[:, 0]).mean() < 0.25
 
 
 def test_too_few_poses_are_refused() -> None:
