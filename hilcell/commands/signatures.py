@@ -337,6 +337,7 @@ class Fit(Signature):
     tip: str = option("last link of the arm in a URDF", "LINK", default="")
     train: str = option("training data", "A.csv")
     test: str = option("test data (default: cross-validation)", "B.csv", default="")
+    columns: str = option("names of both lists' columns", "FILE.toml|OURS=THEIRS,..", default="")
     urdf_out: str = option("write the identified arm as URDF", "FILE", default="")
     dh_out: str = option("write its DH table: CSV, or JSON with covariance", "FILE", default="")
     correct: str = option("poses or joints to correct", "TARGETS.csv|PROGRAM", default="")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,10 @@ from hilcell.commands.console import print_data, print_json, print_message, prin
 from hilcell.commands.signatures import Compensate, Fit, Plan, Prepare
 from hilcell.compensation.targets import as_listed, write_rows
 from hilcell.errors import bounded
+from hilcell.fit.columns import read_names
 from hilcell.fit.measurements import Measurements, read_measurements
 from hilcell.fit.methods import FitResult, FittedArm, RobotFit, fit_robot, in_mm, methods_table
+from hilcell.fit.robot_file import Robot
 from hilcell.fit.urdf_file import URDF, read_robot
 from hilcell.present.table import Table, listed
 from hilcell.programs.corrected import UsableCalibration
@@ -165,8 +168,9 @@ def check_settings(cell: str | None, settings: dict[str, str]) -> None:
 def fit(args: Fit) -> int:
     """Fit measured data, print the prediction errors of each method, write the given files."""
     robot = read_robot(args.robot, args.tip)
-    train = _read(Path(args.train))
-    test = _read(Path(args.test)) if args.test else None
+    columns = read_names(args.columns) if args.columns else {}
+    train = _read(Path(args.train), columns, robot)
+    test = _read(Path(args.test), columns, robot) if args.test else None
     if test is not None:
         _warn_of_shared(train, test)
     inputs = [Path(each) for each in (args.robot, args.train, args.test) if each]
@@ -251,9 +255,9 @@ def _print_fit(result: FitResult) -> None:
         )
 
 
-def _read(path: Path) -> Measurements:
+def _read(path: Path, columns: Mapping[str, str], robot: Robot) -> Measurements:
     """Read measured rows, each distinct one once."""
-    rows = read_measurements(path)
+    rows = read_measurements(path, columns, robot=robot, say=print_message)
     once = rows.once()
     if copies := len(rows) - len(once):
         print_message(

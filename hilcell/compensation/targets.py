@@ -20,7 +20,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Self
 
@@ -141,6 +141,11 @@ class CsvText:
     @classmethod
     def read(cls, path: Path, content: bytes, labels: int) -> Self:
         """Read a file with ``labels`` text columns before numbers; raises `SettingsError`."""
+        return cls.split(path, content).with_decimal(path, lambda cells: cells[labels:])
+
+    @classmethod
+    def split(cls, path: Path, content: bytes) -> Self:
+        """The rows of a CSV whose decimal sign is not known yet; raises `SettingsError`."""
         text = cls._text(path, content)
         first, _, others = text.partition("\n")
         stated = re.fullmatch(r'"?sep=([;,])"?', first.strip(), re.IGNORECASE)
@@ -152,12 +157,22 @@ class CsvText:
             rows = [(reader.line_num + bool(stated), cells) for cells in reader]
         except csv.Error as error:
             raise SettingsError(str(path), [f"cannot be read: {error}"]) from error
+        return cls.of_rows(rows, separator)
+
+    @classmethod
+    def of_rows(cls, rows: list[tuple[int, list[str]]], separator: str = ",") -> Self:
+        """The rows from the header on, without empty columns behind it."""
         begin = next((n for n, (_, cells) in enumerate(rows) if any(map(str.strip, cells))), 0)
-        rows = cls._without_empty_columns(rows[begin:])
-        if separator == ",":
-            return cls(rows)
-        figures = ((line, cell.strip()) for line, cells in rows[1:] for cell in cells[labels:])
-        return cls(rows, separator, cls._decimal(path, figures))
+        return cls(cls._without_empty_columns(rows[begin:]), separator)
+
+    def with_decimal(self, path: Path, numbers_of: Callable[[list[str]], Iterable[str]]) -> Self:
+        """The same with the sign that the numbers of its rows have; raises `SettingsError`."""
+        if self.separator == ",":
+            return self
+        figures = (
+            (line, cell.strip()) for line, cells in self.rows[1:] for cell in numbers_of(cells)
+        )
+        return replace(self, decimal=self._decimal(path, figures))
 
     @staticmethod
     def _without_empty_columns(rows: list[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:

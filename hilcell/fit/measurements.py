@@ -5,27 +5,36 @@ Measurements need commanded joints: those read back from a moving robot spoil a 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hilcell.cell.settings import SettingsError, read_file
+from hilcell.cell.settings import SettingsError
 from hilcell.compensation.targets import CsvText, numbers
+from hilcell.fit.columns import ORIENTATIONS, POSITION, WEIGHTS, Column, Columns, shortened
+from hilcell.fit.robot_file import Robot
+from hilcell.fit.tables import read_table
+from hilcell.geometry.frames import cross_matrix, from_rotvec, from_zyx, unit
 from hilcell.geometry.kinematics import Array
+from hilcell.identification.measured_poses import count_poses
+from hilcell.sanitize import counted
 
-HEADER = ["pose", "target", *(f"j{n}_deg" for n in range(1, 7)), "x_mm", "y_mm", "z_mm"]
-LABELS = 2
+REFLECTOR = "SMR"  # of lists that name none
 
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
     """N measured targets: labels, joints (N, 6) in rad, positions (N, 3) in the tracker's frame.
 
-    Messages name the rows by ``source``, a file, and by their ``lines`` (N) in it.
+    Messages name the rows by ``source``, a file, and by their ``lines`` (N) in it. ``u_mm`` (N, 3):
+    standard uncertainties; ``R`` (N, 3, 3): orientations of the measured body in the tracker's
+    frame, NaN where not measured, with ``u_rad`` (N,), NaN where unknown.
     """
 
     pose: list[str]
@@ -34,13 +43,16 @@ class Measurements:
     xyz_mm: Array
     source: str = "the measurements"
     lines: Sequence[int] = ()
+    u_mm: Array | None = None
+    R: Array | None = None
+    u_rad: Array | None = None
 
     @classmethod
     def from_arrays(
         cls,
         joints_rad: ArrayLike,
         xyz_mm: ArrayLike,
-        target: str | Sequence[str] = "SMR",
+        target: str | Sequence[str] = REFLECTOR,
         pose: Sequence[str] | None = None,
     ) -> Self:
         """Measurements from arrays: commanded joints (N, 6), positions (N, 3).
@@ -99,44 +111,192 @@ class Measurements:
             self.xyz_mm[chosen],
             self.source,
             [self.lines[n] for n in chosen] if self.lines else (),
+            None if self.u_mm is None else self.u_mm[chosen],
+            None if self.R is None else self.R[chosen],
+            None if self.u_rad is None else self.u_rad[chosen],
+        )
+
+    @property
+    def counted(self) -> str:
+        """The counts of rows and poses, and the reflectors, as text."""
+        names = sorted(set(self.target))
+        return (
+            f"{counted(len(self), 'row')}, {counted(count_poses(self.joints_rad), 'pose')}, "
+            f"reflector{'s' * (len(names) > 1)} {shortened(names)}"
         )
 
 
-def read_measurements(path: Path | str) -> Measurements:
-    """Read measured targets, the CSV of ``hilcell fit --train``.
+def read_measurements(
+    path: Path | str,
+    columns: Mapping[str, str] | None = None,
+    *,
+    robot: Robot | None = None,
+    say: Callable[[str], None] | None = None,
+) -> Measurements:
+    """Read measured targets, the list of ``hilcell fit --train``: CSV, XLSX or Parquet.
 
-    Columns: pose, target, j1_deg .. j6_deg as commanded, x_mm, y_mm, z_mm in the tracker's frame.
-    Raises `SettingsError` naming the invalid lines.
+    Columns by name in any order (`docs/fit.md`): joints as commanded, positions in the tracker's
+    frame. ``columns``: names of the list by ours; ``robot``: whose joints they must be; ``say``
+    gets what was understood. Raises `SettingsError` naming the invalid lines.
     """
     path = Path(path)
-    text = CsvText.read(path, read_file(path), LABELS)
-    text.matched_header(path, [HEADER])
+    text, sheet = read_table(path)
+    layout = _layout(path, text, columns or {})
+    if robot is not None:
+        _refuse_other_joints(path, layout, robot)
+    text = text.with_decimal(
+        path, lambda cells: [cells[n] for n in layout.of_numbers if n < len(cells)]
+    )
     problems: list[str] = []
-    labels, rows, lines = [], [], []
+    found: list[_Row] = []
     for line, cells in text.rows[1:]:
-        if not cells:
-            continue
         try:
-            rows.append(_numbers(cells, text))
-            labels.append([cell.strip() for cell in cells[:LABELS]])
-            lines.append(line)
+            found += _rows(layout, text, line, cells) if cells else []
         except ValueError as error:
             problems.append(f"line {line}: {error}")
-    if not (labels or problems):
+    if not (found or problems):
         problems.append("no measured target follows the header")
     if problems:
         raise SettingsError(str(path), problems)
-    poses, targets = map(list, zip(*labels, strict=True))
-    values = np.array(rows)
-    joints_rad = np.radians(values[:, :6])
-    return Measurements(poses, targets, joints_rad, values[:, 6:], str(path), lines)
+    rows = _measurements(found, layout, str(path))
+    if say is not None:
+        say(f"{path}: {f'{sheet}: ' if sheet else ''}{rows.counted}; {layout.understood()}")
+    return rows
 
 
-def _numbers(cells: list[str], text: CsvText) -> list[float]:
-    if len(cells) != len(HEADER):
-        more = text.surplus(len(cells), len(HEADER))
-        raise ValueError(f"{len(cells)} fields, expected {len(HEADER)}{more}")
-    for name, cell in zip(HEADER[:LABELS], cells, strict=False):
-        if not cell.strip():
-            raise ValueError(f"{name} is empty")
-    return numbers(HEADER[LABELS:], cells[LABELS:], text.decimal)
+class _Row(NamedTuple):
+    """A reading of a list, in mm and rad; ``turn`` by the columns of its orientation."""
+
+    line: int
+    pose: str
+    target: str
+    joints: list[float]
+    xyz_mm: list[float]
+    u_mm: list[float]
+    turn: list[float]
+    u_rad: float
+
+
+def _layout(path: Path, text: CsvText, names: Mapping[str, str]) -> Columns:
+    """The columns of the header; raises `SettingsError`."""
+    header = text.header
+    try:
+        return Columns.of(header, names)
+    except ValueError as error:
+        line, problem = text.rows[0][0] if text.rows else 1, str(error)
+    if not text.rows:
+        problem = "expected a header, got an empty file"
+    elif any("\t" in each for each in header):
+        problem = "fields are separated by tabs; save it with commas or semicolons"
+    elif len(text.rows) > 1:
+        with suppress(ValueError):
+            Columns.of(text.rows[1][1], names)
+            problem = f"the header is in line {text.rows[1][0]}; remove the lines before it"
+    raise SettingsError(str(path), [f"line {line}: {problem}"])
+
+
+def _refuse_other_joints(path: Path, columns: Columns, robot: Robot) -> None:
+    count = len(robot.arm.a_mm)
+    if len(columns.joints) != count:
+        raise SettingsError(
+            str(path),
+            [f"it has {counted(len(columns.joints), 'joint')}, expected {count} of {robot.name}"],
+        )
+    if columns.prismatic:
+        first = columns.joints[columns.prismatic[0]]
+        raise SettingsError(
+            str(path), [f"{first.name} is in {first.unit}, but the joint of {robot.name} turns"]
+        )
+
+
+def _rows(columns: Columns, text: CsvText, line: int, cells: list[str]) -> list[_Row]:
+    """The readings of a line: one, one a reflector of a wide list, or none that was seen."""
+    if len(cells) != columns.width:
+        more = text.surplus(len(cells), columns.width)
+        raise ValueError(f"{len(cells)} fields, expected {columns.width}{more}")
+    own = columns.own
+    values = _Values(cells, text.decimal)
+    pose = values.label(own["pose"]) if "pose" in own else ""
+    joints = values.all(columns.joints)
+    turned = [own[each] for each in ORIENTATIONS.get(columns.orientation, ())]
+    turn = values.all(turned) if values.given(turned) else []
+    quaternion, longest = 4, 0.01
+    if len(turn) == quaternion and not abs(math.hypot(*turn) - 1.0) <= longest:
+        raise ValueError(f"quaternion of length {math.hypot(*turn):.4g}, expected 1")
+    u_rad = values.u(own["u_turn"]) if turn and "u_turn" in own else math.nan
+    rows = []
+    for name, group in columns.groups.items() or [("", own)]:
+        places = [group[each] for each in POSITION]
+        if not values.given(places):
+            continue
+        target = name or (values.label(own["target"]) if "target" in own else REFLECTOR)
+        weights = group if {"u", *WEIGHTS} & {*group} else own
+        u_mm = [values.u(weights.get(each, weights.get("u"))) for each in WEIGHTS]
+        rows.append(_Row(line, pose, target, joints, values.all(places), u_mm, turn, u_rad))
+        turn = []  # of a wide list's pose: it counts once
+    return rows
+
+
+@dataclass(frozen=True, slots=True)
+class _Values:
+    """Values of a line's columns; each raises `ValueError`."""
+
+    cells: list[str]
+    decimal: str
+
+    def given(self, columns: Sequence[Column]) -> bool:
+        return any(self.cells[each.place].strip() for each in columns)
+
+    def label(self, column: Column) -> str:
+        label = self.cells[column.place].strip()
+        if not label:
+            raise ValueError(f"{column.name} is empty")
+        return label
+
+    def all(self, columns: Sequence[Column]) -> list[float]:
+        names, cells = [each.name for each in columns], [self.cells[each.place] for each in columns]
+        values = numbers(names, cells, self.decimal)
+        return [value * each.scale for value, each in zip(values, columns, strict=True)]
+
+    def u(self, column: Column | None) -> float:
+        """A standard uncertainty; NaN where none is given."""
+        if column is None:
+            return math.nan
+        value = self.all([column])[0]
+        if not value > 0.0:
+            raise ValueError(f"{column.name} is {value:g}, expected more than 0")
+        return value
+
+
+def _measurements(rows: list[_Row], columns: Columns, source: str) -> Measurements:
+    u_mm, R = np.array([row.u_mm for row in rows]), None
+    first: dict[tuple[float, ...], int] = {}
+    if columns.orientation:
+        size = len(ORIENTATIONS[columns.orientation])
+        turns = np.array([row.turn or [math.nan] * size for row in rows])
+        R = rotations(columns.orientation, turns)
+    return Measurements(
+        [row.pose or str(first.setdefault(tuple(row.joints), row.line)) for row in rows],
+        [row.target for row in rows],
+        np.array([row.joints for row in rows]),
+        np.array([row.xyz_mm for row in rows]),
+        source,
+        [row.line for row in rows],
+        u_mm=None if np.isnan(u_mm).any() else u_mm,
+        R=R,
+        u_rad=None if R is None else np.array([row.u_rad for row in rows]),
+    )
+
+
+def rotations(kind: str, values: Array) -> Array:
+    """Rotations (N, 3, 3) by a kind of `ORIENTATIONS`, of values (N, 3 or 4) in rad; NaN stays."""
+    match kind:
+        case "rotation vector":
+            return from_rotvec(values)
+        case "quaternion":
+            q = unit(values)
+            K = cross_matrix(q[:, 1:])
+            return np.asarray(np.eye(3) + 2.0 * (q[:, 0, None, None] * K + K @ K))
+        case "roll, pitch, yaw":
+            values = values[:, ::-1]
+    return from_zyx(np.degrees(values))

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilcell.fit.measurements import HEADER, Measurements
-from tests.hilcell.fit.test_fit import measured
+from hilcell.fit.measurements import Measurements
+from tests.hilcell.fit.test_fit import HEADER, measured
 from tests.hilcell.fit.urdfs import PLAIN
 from tests.whole.bench import command
 
@@ -100,7 +100,7 @@ def test_copied_rows_are_warned_of_and_count_once(folder: Path) -> None:
     (folder / "train.csv").write_text("\n".join([head, *(10 * lines)]))
     done = fit(folder, "robot.toml", *words)
     assert "225 of 250 rows" in done.stderr
-    assert not once.stderr
+    assert "rows of" not in once.stderr
     found, wanted = (json.loads(each.stdout) | {"seconds": 0} for each in (done, once))
     assert found == wanted
 
@@ -140,8 +140,8 @@ def at_one_place(lines: list[str]) -> list[str]:
         (lambda lines: lines[:4],
          "train.csv lines 2, 3, 4: target SMR1 is measured in 3 poses, expected at least 10"),
         (lambda lines: lines[:2], "measured in 1 pose, "),
-        (lambda lines: [lines[0].replace("j2_deg", "j2_rad"), *lines[1:]],
-         r"\(missing: j2_deg; unknown: 'j2_rad'\)"),
+        (lambda lines: [lines[0].replace("j2_deg", "j2_grad"), *lines[1:]],
+         "missing: j2_deg; not understood: j2_grad"),
     ],
 )  # fmt: skip
 def test_rows_that_no_robot_can_be_fitted_to_are_named(

@@ -7,8 +7,9 @@ import pytest
 
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.targets import HEADER, read_targets
-from hilcell.fit import measurements
+from hilcell.fit.measurements import read_measurements
 from hilcell.programs.holes import NORMALS, read_holes
+from tests.hilcell.fit.test_fit import HEADER as MEASURED
 from tests.hilcell.lists import write_targets
 
 HEAD = ",".join(HEADER)
@@ -148,7 +149,7 @@ def test_holes_and_measurements_are_read_by_the_same_rules(tmp_path: Path) -> No
     path = listed(tmp_path, "H1;1250,5;-300,0;900;0;-0,707;0,707\n", ";".join(NORMALS))
     np.testing.assert_array_equal(read_holes(path).points_mm, [[1250.5, -300.0, 900.0]])
     row = "1;T1;0,5;-90;90;0;0;0;1000,25;2;3\n"
-    measured = measurements.read_measurements(listed(tmp_path, row, ";".join(measurements.HEADER)))
+    measured = read_measurements(listed(tmp_path, row, ";".join(MEASURED)))
     np.testing.assert_array_equal(measured.xyz_mm, [[1000.25, 2.0, 3.0]])
 
 

@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from hilcell.compensation.interpolation import Idw
-from hilcell.fit.measurements import HEADER, Measurements, read_measurements
+from hilcell.fit.measurements import Measurements, read_measurements
 from hilcell.fit.methods import AtPoints, cross_validate, fit_robot
 from hilcell.fit.placement import FitError, place
 from hilcell.fit.robot_file import Robot, RobotModel, Row, read_dh
@@ -24,6 +24,7 @@ from hilcell.geometry.frames import apply, pose_from_zyx
 from hilcell.geometry.inverse import inverse_kinematics
 from hilcell.geometry.kinematics import forward
 
+HEADER = ["pose", "target", *(f"j{n}_deg" for n in range(1, 7)), "x_mm", "y_mm", "z_mm"]
 NEARBY = Path(__file__).parents[4] / "shared" / "data"
 DATA = Path(os.environ.get("HILCELL_DATA", NEARBY))
 REAL = "HILCELL_DATA" in os.environ or NEARBY.is_dir()
