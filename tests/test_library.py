@@ -123,7 +123,7 @@ def test_a_robot_of_dh_rows_is_that_of_its_file(example_folder: Path) -> None:
         (lambda: hc.Robot.from_dh("r", np.zeros((10, 4))), "got 10"),
         (lambda: hc.Robot.from_dh("r", np.full((6, 4), np.nan)), "finite"),
         (lambda: hc.Robot.from_dh("r", np.zeros((6, 4)), 0.5), "signs"),
-        (lambda: hc.Measurements.from_arrays(np.zeros((4, 5)), np.zeros((4, 3))), "joints_rad"),
+        (lambda: hc.Measurements.from_arrays(np.zeros(4), np.zeros((4, 3))), "joints_rad"),
         (lambda: hc.Measurements.from_arrays(np.zeros((4, 6)), np.zeros((3, 3))), "xyz_mm"),
         (lambda: hc.Measurements.from_arrays(np.zeros((4, 6)), np.full((4, 3), np.inf)), "xyz_mm"),
         (lambda: hc.Measurements.from_arrays(np.zeros((2, 6)), np.zeros((2, 3)), ["a"]), "target"),

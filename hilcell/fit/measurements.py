@@ -30,11 +30,12 @@ REFLECTOR = "SMR"  # of lists that name none
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """N measured targets: labels, joints (N, 6) in rad, positions (N, 3) in the tracker's frame.
+    """N measured targets: labels, joints (N, n) in rad, positions (N, 3) in the tracker's frame.
 
-    Messages name the rows by ``source``, a file, and by their ``lines`` (N) in it. ``u_mm`` (N, 3):
-    standard uncertainties; ``R`` (N, 3, 3): orientations of the measured body in the tracker's
-    frame, NaN where not measured, with ``u_rad`` (N,), NaN where unknown.
+    Values of prismatic joints are m. Messages name the rows by ``source``, a file, and by their
+    ``lines`` (N) in it. ``u_mm`` (N, 3): standard uncertainties; ``R`` (N, 3, 3): orientations of
+    the measured body in the tracker's frame, NaN where not measured, with ``u_rad`` (N,), NaN where
+    unknown.
     """
 
     pose: list[str]
@@ -55,16 +56,17 @@ class Measurements:
         target: str | Sequence[str] = REFLECTOR,
         pose: Sequence[str] | None = None,
     ) -> Self:
-        """Measurements from arrays: commanded joints (N, 6), positions (N, 3).
+        """Measurements from arrays: commanded joints (N, n), positions (N, 3).
 
         ``target`` names the reflector of all rows, or of each; ``pose`` (N) labels rows measured in
         one pose, each its own by default. Raises `ValueError`.
         """
         joints, xyz = np.array(joints_rad, dtype=float), np.array(xyz_mm, dtype=float)
-        for name, values, width in (("joints_rad", joints, 6), ("xyz_mm", xyz, 3)):
-            if values.shape != (len(joints), width) or not np.isfinite(values).all():
+        width = joints.shape[-1] if joints.ndim else 0
+        for name, values, size in (("joints_rad", joints, width), ("xyz_mm", xyz, 3)):
+            if values.shape != (len(joints), size) or not np.isfinite(values).all():
                 raise ValueError(
-                    f"{name}: expected finite numbers ({len(joints)}, {width}), got shape "
+                    f"{name}: expected finite numbers ({len(joints)}, {size}), got shape "
                     f"{values.shape}"
                 )
         targets = [target] * len(joints) if isinstance(target, str) else list(target)
@@ -76,7 +78,7 @@ class Measurements:
 
     @classmethod
     def unmeasured(cls, joints_rad: Array, target: str) -> Self:
-        """Rows of a reflector at joints (N, 6) whose positions are to be predicted."""
+        """Rows of a reflector at joints (N, n) whose positions are to be predicted."""
         labels = list(map(str, range(len(joints_rad))))
         return cls(labels, [target] * len(labels), joints_rad, np.full((len(labels), 3), np.nan))
 
@@ -196,17 +198,12 @@ def _layout(path: Path, text: CsvText, names: Mapping[str, str]) -> Columns:
 
 
 def _refuse_other_joints(path: Path, columns: Columns, robot: Robot) -> None:
-    count = len(robot.arm.a_mm)
-    if len(columns.joints) != count:
-        raise SettingsError(
-            str(path),
-            [f"it has {counted(len(columns.joints), 'joint')}, expected {count} of {robot.name}"],
-        )
-    if columns.prismatic:
-        first = columns.joints[columns.prismatic[0]]
-        raise SettingsError(
-            str(path), [f"{first.name} is in {first.unit}, but the joint of {robot.name} turns"]
-        )
+    if columns.prismatic == robot.arm.prismatic and len(columns.joints) == len(robot.arm):
+        return
+    got = shortened([each.name for each in columns.joints])
+    raise SettingsError(
+        str(path), [f"expected joints {shortened(robot.joint_columns)} of {robot.name}, got {got}"]
+    )
 
 
 def _rows(columns: Columns, text: CsvText, line: int, cells: list[str]) -> list[_Row]:

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from hilcell.cell.settings import SettingsError
 from hilcell.fit.columns import read_names
 from hilcell.fit.measurements import Measurements, read_measurements
+from hilcell.fit.robot_file import Robot
 from hilcell.geometry.frames import from_rotvec, matrix, zyx_from_pose
 from tests.hilcell.fit.test_fit import HEADER, IRB120, measured
 
@@ -265,3 +266,19 @@ def test_weights_by_row_coordinate_and_group(tmp_path: Path) -> None:
     np.testing.assert_allclose(u_mm("u_z_mm,u_x_mm,u_y_mm", "3,1,2"), [[1, 2, 3]] * 2)
     both = wide(ROWS, lambda pose, name: True)
     np.testing.assert_allclose(u_mm("SMR1_u_mm,u_mm", "1,2", both), [[1] * 3, [2] * 3])
+
+
+def test_joints_are_those_of_the_robot(tmp_path: Path) -> None:
+    """A rail or column is a prismatic joint; its values are m."""
+    robot = Robot.from_dh("on a rail", [[0, 90, 0, 0]] * 7, prismatic=[True] + 6 * [False])
+    header = [*HEADER[:2], "j1_mm", *(f"j{n}_deg" for n in range(2, 8)), *HEADER[8:]]
+    table = [header, *([*line[:2], "1500", *line[2:]] for line in TABLE[1:])]
+    path = tmp_path / "a.csv"
+    path.write_bytes(text_of(table))
+    found = read_measurements(path, robot=robot)
+    np.testing.assert_array_equal(found.joints_rad[:, 0], 1.5)
+    other = [[name.replace("j1_mm", "j1_rad") for name in header], *table[1:]]
+    for wrong, first in ((other, "j1_rad"), (TABLE, "j1_deg")):
+        path.write_bytes(text_of(wrong))
+        with pytest.raises(SettingsError, match=f"joints j1_mm, .* of on a rail, got {first}"):
+            read_measurements(path, robot=robot)
