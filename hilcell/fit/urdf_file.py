@@ -1,11 +1,13 @@
-"""URDF files: read the six-axis arm, and write the file with another arm.
+"""URDF files: read a serial arm, and write the file with another arm.
 
-URDF has metres and radians, the rest of the program mm. A joint's frame in a `Chain` includes the
-fixed joints before it, which keep their origins when a chain is written.
+URDF has metres and radians, the rest of the program mm, but for values of prismatic joints. A
+joint's frame in a `Chain` includes the fixed joints before it, which keep their origins when a
+chain is written.
 
-``T = O_1 Rot(axis_1, q_1) ... O_6 Rot(axis_6, q_6) tip``: every chain is exactly an `Arm` between
-base and tool frame. Row i carries axis i into axis i + 1 (row 6: into the tip's z), by standard DH
-with beta = 0, or by Hayati's form near parallel axes, where the common normal runs off to infinity.
+``T = O_1 Rot(axis_1, q_1) ... O_n Rot(axis_n, q_n) tip``, of a prismatic joint a shift in place of
+Rot: every chain is exactly an `Arm` between base and tool frame. Row i carries axis i into axis
+i + 1 (the last into the tip's z), by standard DH with beta = 0, or by Hayati's form near parallel
+axes, where the common normal runs off to infinity.
 A chain is not unique: `Chain.beside` puts frames near the nominal ones.
 """
 
@@ -24,9 +26,9 @@ import numpy as np
 
 from hilcell.cell.settings import SettingsError, read_bytes, unreadable
 from hilcell.compensation.targets import numbers
-from hilcell.fit.robot_file import Robot, read_dh
+from hilcell.fit.robot_file import MOST_JOINTS, Robot, read_dh
 from hilcell.geometry.frames import cross_matrix, inverse, matrix, pose_from_zyx, zyx_from_pose
-from hilcell.geometry.kinematics import Arm, Array, link_transforms
+from hilcell.geometry.kinematics import MM, Arm, Array, link_transforms
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.sanitize import clean
 
@@ -59,7 +61,7 @@ class JointText:
         return link
 
     def numbered(self, problems: list[str]) -> tuple[Array, Array, tuple[float, float]]:
-        """Origin (4, 4) in mm, unit axis (3,) and limits in rad."""
+        """Origin (4, 4) in mm, unit axis (3,) and limits in rad or m."""
         least_axis = 1e-6
         most_rotation_rad = (
             2.0 * np.pi + 0.01
@@ -77,7 +79,7 @@ class JointText:
                 )
             R = pose_from_zyx(0.0, 0.0, 0.0, *np.degrees(rpy_rad[::-1]))[:3, :3]
             step = matrix(R, xyz_m * MM)
-            if self.kind not in REVOLUTE:
+            if self.kind not in MOVING:
                 return step, np.zeros(3), (-np.inf, np.inf)
             axis = _vector(self.parts.get("axis", {}), "axis", "xyz", (1.0, 0.0, 0.0))
             if not np.linalg.norm(axis) > least_axis:
@@ -170,24 +172,34 @@ class UrdfText:
             content = content[:start] + text + content[end:]
         return content
 
-    def chain_to(self, tip: str) -> list[JointText]:
-        """The joints to ``tip``, or of the only chain of six revolute joints; raises `NotUrdf`."""
+    def chain_to(self, tip: str, base: str = "") -> list[JointText]:
+        """The joints from ``base``, or the root, to ``tip``, or of the only chain of six revolute
+        joints, or else of 1 to 9 joints; raises `NotUrdf`.
+        """
         parents, links = ({joint.end(end) for joint in self.joints} for end in ("parent", "child"))
         links |= parents
-        if tip and tip not in links:
-            raise NotUrdf(f"no joint leads to link {tip}; links: {_list(sorted(links))}")
+        for link in filter(None, (tip, base)):
+            if link not in links:
+                raise NotUrdf(f"no joint leads to link {link}; links: {_list(sorted(links))}")
         tips = [tip] if tip else sorted(set(self._above) - parents)
         if not tips:
             loop = "its links form a loop: no link is a tip"
             raise NotUrdf(loop if self.joints else "has no joint")
         chains = {tip: self._joints_to(tip) for tip in tips}
-        good = [tip for tip in tips if not self._unfit(chains[tip])]
-        if len(good) == 1:
-            return chains[good[0]]
+        if base:
+            chains = {tip: _behind(joints, base) for tip, joints in chains.items()}
+            chains = {tip: joints for tip, joints in chains.items() if joints}
+            if not chains:
+                raise NotUrdf(f"no joint leads from link {base} to {tip or 'a tip'}")
+        good = [tip for tip in chains if not self._unfit(chains[tip])]
+        six = [tip for tip in good if self._six_revolute(chains[tip])]
+        for only in (six, good):
+            if len(only) == 1:
+                return chains[only[0]]
         if good:
-            several = f"several chains of six joints end in {_list(good)}"
+            several = f"several chains of {MOST_JOINTS} joints or fewer end in {_list(good)}"
             raise NotUrdf(f"{several}: say which, --tip LINK")
-        longest = max(tips, key=lambda tip: len(chains[tip]))
+        longest = max(chains, key=lambda tip: len(chains[tip]))
         others = f"; tips: {_list(tips)}; where an earlier link ends the arm, --tip LINK names it"
         unfit = self._unfit(chains[longest])
         raise NotUrdf(f"the chain to {longest} {unfit}{'' if tip else others}")
@@ -202,18 +214,23 @@ class UrdfText:
         return joints[::-1]
 
     @staticmethod
+    def _six_revolute(joints: list[JointText]) -> bool:
+        kinds = [joint.kind for joint in joints if joint.kind != "fixed"]
+        return len(kinds) == 6 and PRISMATIC not in kinds
+
+    @staticmethod
     def _unfit(joints: list[JointText]) -> str:
-        """Why joints are no arm of six revolute joints, or ""."""
+        """Why joints are no serial arm, or ""."""
         moving = [joint for joint in joints if joint.kind != "fixed"]
-        strange = [f"{joint.name} ({joint.kind})" for joint in moving if joint.kind not in REVOLUTE]
+        strange = [f"{joint.name} ({joint.kind})" for joint in moving if joint.kind not in MOVING]
         mimics = [joint.name for joint in moving if "mimic" in joint.parts]
         if strange:
-            return f"has joints that are neither revolute nor fixed: {_list(strange)}"
+            return f"has joints not revolute, prismatic or fixed: {_list(strange)}"
         if mimics:
             return f"has joints that follow others (mimic): {_list(mimics)}"
-        if len(moving) != 6:
+        if not 1 <= len(moving) <= MOST_JOINTS:
             names = _list([joint.name for joint in moving]) or "none"
-            return f"has {len(moving)} revolute joints, expected six: {names}"
+            return f"has {len(moving)} moving joints, expected 1 to {MOST_JOINTS}: {names}"
         return ""
 
     @cached_property
@@ -232,6 +249,12 @@ class UrdfText:
         return above
 
 
+def _behind(joints: list[JointText], base: str) -> list[JointText]:
+    """Return the joints behind a link, none where it is not among their parents."""
+    first = next((n for n, each in enumerate(joints) if each.end("parent") == base), len(joints))
+    return joints[first:]
+
+
 def _comment(lines: Sequence[str]) -> bytes:
     """XML comment; two hyphens must not follow each other."""
     text = "\n    ".join(re.sub("-(?=-)", "- ", line) for line in lines)
@@ -239,9 +262,11 @@ def _comment(lines: Sequence[str]) -> bytes:
 
 
 URDF = ".urdf"
-MM = 1000.0  # in a metre
+WIDEST = '<limit lower="-100" upper="100" effort="0" velocity="0"/>'
 LEAST_REACH_M, MOST_REACH_M = 0.05, 50.0  # of all links in a row; beyond, lengths are not metres
 REVOLUTE = ("revolute", "continuous")
+PRISMATIC = "prismatic"
+MOVING = (*REVOLUTE, PRISMATIC)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -257,7 +282,7 @@ class Urdf(Robot):
 
     def left_at_tip(self, chain: Chain) -> Array:
         """Frame (4, 4) of a chain's tip in the tip link of the file that receives it. The identity,
-        unless the tip is the sixth joint's own link: no joint is left to carry a tip.
+        unless the tip is the last joint's own link: no joint is left to carry a tip.
         """
         return np.eye(4) if self._fixed_at_tip else chain.tip
 
@@ -266,7 +291,7 @@ class Urdf(Robot):
         origins, done = [], np.eye(4)
         origin = iter(chain.origins)
         for joint, step in zip(self.joints, self.steps, strict=True):
-            if joint.kind in REVOLUTE:
+            if joint.kind in MOVING:
                 origins.append((joint, _origin_tag(inverse(done) @ next(origin))))
                 done = np.eye(4)
             else:
@@ -281,15 +306,15 @@ class Urdf(Robot):
 
     @property
     def _fixed_at_tip(self) -> int:
-        last = max(n for n, joint in enumerate(self.joints) if joint.kind in REVOLUTE)
+        last = max(n for n, joint in enumerate(self.joints) if joint.kind in MOVING)
         return len(self.joints) - 1 - last
 
 
-def read_robot(path: Path | str, tip: str = "") -> Robot:
+def read_robot(path: Path | str, tip: str = "", base: str = "") -> Robot:
     """Read a robot's nominal kinematics from a URDF or a ``robot.toml``, by the file's suffix.
 
-    ``tip`` names the link that ends the arm, where a URDF has several. Raises `SettingsError`
-    with all problems of the file.
+    ``tip`` names the link that ends the arm, where a URDF has several, ``base`` the one that the
+    arm stands on, where that is not the root. Raises `SettingsError` with all problems of the file.
 
     Examples:
         >>> robot = read_robot("irb120.toml")
@@ -298,19 +323,19 @@ def read_robot(path: Path | str, tip: str = "") -> Robot:
     """
     file = Path(path)
     if file.suffix.lower() == URDF:
-        return read_urdf(file, tip)
-    if tip:
-        raise SettingsError(
-            str(file), [f"--tip {tip} names a link of a URDF; expected a {URDF} file"]
-        )
+        return read_urdf(file, tip, base)
+    for word, link in (("tip", tip), ("base", base)):
+        if link:
+            problem = f"--{word} {link} names a link of a URDF; expected a {URDF} file"
+            raise SettingsError(str(file), [problem])
     return read_dh(file)
 
 
-def read_urdf(path: Path, tip: str = "") -> Urdf:
-    """Read the chain to ``tip``, or the only one of six revolute joints; raises `SettingsError`."""
+def read_urdf(path: Path, tip: str = "", base: str = "") -> Urdf:
+    """Read a chain, see `UrdfText.chain_to`; raises `SettingsError`."""
     try:
         text = UrdfText(read_bytes(path))
-        joints = text.chain_to(tip)
+        joints = text.chain_to(tip, base)
     except OSError as error:
         raise unreadable(str(path), error) from error
     except NotUrdf as error:
@@ -320,22 +345,25 @@ def read_urdf(path: Path, tip: str = "") -> Urdf:
     if problems:
         raise SettingsError(str(path), problems)
     steps = np.array([step for step, _, _ in numbered])
-    turning = [n for n, joint in enumerate(joints) if joint.kind in REVOLUTE]
-    chain = Chain.of_joints(steps, turning, np.array([numbered[n][1] for n in turning]))
+    moving = [n for n, joint in enumerate(joints) if joint.kind in MOVING]
+    shifting = tuple(row for row, n in enumerate(moving) if joints[n].kind == PRISMATIC)
+    axes = np.array([numbered[n][1] for n in moving])
+    chain = Chain.of_joints(steps, moving, axes, shifting)
     reach_m = float(lengths_mm(np.vstack([chain.origins[1:, :3, 3], chain.tip[:3, 3]])).sum()) / MM
-    if not LEAST_REACH_M <= reach_m <= MOST_REACH_M:
+    least_m = LEAST_REACH_M if len(moving) > 2 and not shifting else 0.0
+    if not least_m <= reach_m <= MOST_REACH_M:
         problem = (
             f"the links behind joint 1 are {reach_m:.4g} m long together, expected "
-            f"{LEAST_REACH_M:g} to {MOST_REACH_M:g} m: lengths in a URDF are metres"
+            f"{least_m:g} to {MOST_REACH_M:g} m: lengths in a URDF are metres"
         )
         raise SettingsError(str(path), [problem])
-    base, arm = chain.arm()
+    root, arm = chain.arm()
     return Urdf(
         clean(text.name),
         replace(arm, tool=np.eye(4)),
-        base,
+        root,
         arm.tool,
-        np.array([numbered[n][2] for n in turning]).T,
+        np.array([numbered[n][2] for n in moving]).T,
         root=joints[0].end("parent"),
         tip=joints[-1].end("child"),
         chain=chain,
@@ -375,20 +403,25 @@ def _row(values: Array) -> str:
 
 
 def urdf_of(name: str, chain: Chain, comment: Sequence[str]) -> bytes:
-    """URDF of a chain: links base_link, link_1 .. link_6, tool0; no shapes, no limits."""
-    links = ["base_link", *(f"link_{n}" for n in range(1, 7)), "tool0"]
+    """URDF of a chain: links base_link, link_1 .. link_n, tool0; no shapes, and no limits but the
+    widest of prismatic joints, which must have some.
+    """
+    count = len(chain.axes)
+    links = ["base_link", *(f"link_{n}" for n in range(1, count + 1)), "tool0"]
     lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(clean(name))}>"]
     lines += [f'  <link name="{link}"/>' for link in links]
     steps = [*chain.origins, chain.tip]
     for number, step in enumerate(steps):
-        turns = number < 6
-        kind, joint = ("continuous", f"joint_{number + 1}") if turns else ("fixed", "tool0_joint")
+        moves, shifts = number < count, number in chain.prismatic
+        kind = PRISMATIC if shifts else "continuous" if moves else "fixed"
+        joint = f"joint_{number + 1}" if moves else "tool0_joint"
         lines += [
             f'  <joint name="{joint}" type="{kind}">',
             f"    {_origin_tag(step)}/>",
             f'    <parent link="{links[number]}"/>',
             f'    <child link="{links[number + 1]}"/>',
-            *([f'    <axis xyz="{_row(chain.axes[number])}"/>'] if turns else []),
+            *([f'    <axis xyz="{_row(chain.axes[number])}"/>'] if moves else []),
+            *([f"    {WIDEST}"] if shifts else []),
             "  </joint>",
         ]
     content = "\n".join([*lines, "</robot>", ""]).encode()
@@ -401,74 +434,82 @@ Z = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """Origins (6, 4, 4) in mm, unit axes (6, 3), and the tip's frame (4, 4) in the last link."""
+    """Origins (n, 4, 4) in mm, unit axes (n, 3), the tip's frame (4, 4) in the last link, and which
+    joints, from 0, are prismatic.
+    """
 
     origins: Array
     axes: Array
     tip: Array
+    prismatic: tuple[int, ...] = ()
 
     @property
     def frames(self) -> Array:
-        """Frames of joints and tip in the root link at q = 0, (7, 4, 4)."""
+        """Frames of joints and tip in the root link at q = 0, (n + 1, 4, 4)."""
         frames = [self.origins[0]]
         for step in (*self.origins[1:], self.tip):
             frames.append(frames[-1] @ step)
         return np.array(frames)
 
     @classmethod
-    def of_joints(cls, steps: Array, turning: list[int], axes: Array) -> Self:
-        """Chain of the origins (J, 4, 4) of all joints, the ``turning`` ones revolute."""
+    def of_joints(
+        cls, steps: Array, moving: list[int], axes: Array, prismatic: tuple[int, ...]
+    ) -> Self:
+        """Chain of the origins (J, 4, 4) of all joints, the ``moving`` ones not fixed."""
         frames, done = [], np.eye(4)
         for number, step in enumerate(steps):
             done = done @ step
-            if number in turning:
+            if number in moving:
                 frames.append(done)
                 done = np.eye(4)
-        return cls(np.array(frames), axes, done)
+        return cls(np.array(frames), axes, done, prismatic)
 
     @classmethod
     def of(cls, base: Array, arm: Arm) -> Self:
         """Chain that moves as ``base @ forward(arm, q)``; its axes are z or -z."""
-        links = link_transforms(arm, np.zeros(6))
-        axes = np.zeros((6, 3))
+        links = link_transforms(arm, np.zeros(len(arm)))
+        axes = np.zeros((len(arm), 3))
         axes[:, 2] = arm.sign
-        return cls(np.concatenate([base[None], links[:5]]), axes, links[5] @ arm.tool)
+        origins = np.concatenate([base[None], links[:-1]])
+        return cls(origins, axes, links[-1] @ arm.tool, arm.prismatic)
 
     def arm(self) -> tuple[Array, Arm]:
         """Base (4, 4) and arm: ``base @ forward(arm, q)`` is the chain's tip in its root."""
         frames = self.frames
         along = np.vstack([self.axes, Z])
         base = frame = frames[0] @ matrix(_turn(Z, self.axes[0]), np.zeros(3))
-        rows = np.zeros((6, 5))
-        for row in range(6):
+        rows = np.zeros((len(self.axes), 5))
+        for row in range(len(rows)):
             seen = inverse(frame) @ frames[row + 1]
             rows[row] = _dh_row(seen[:3, 3], seen[:3, :3] @ along[row + 1])
-            frame = frame @ link_transforms(_arm(rows, np.eye(4)), np.zeros(6))[row]
-        return base, _arm(rows, inverse(frame) @ frames[6])
+            links = link_transforms(_arm(rows, np.eye(4), ()), np.zeros(len(rows)))
+            frame = frame @ links[row]
+        return base, _arm(rows, inverse(frame) @ frames[-1], self.prismatic)
 
     def beside(self, nominal: Chain) -> Chain:
         """Chain of the same motion with axes and frames near those of ``nominal``.
 
         Each frame is the nominal one, rotated by the least angle that makes the axes parallel, and
-        shifted by the least distance that puts its origin onto the axis.
+        shifted by the least distance that puts its origin onto the axis; a prismatic joint shifts
+        alike from any origin.
         """
         found, near = self.frames, nominal.frames
         frames = found.copy()
-        for joint in range(6):
+        for joint in range(len(self.axes)):
             axis = found[joint, :3, :3] @ self.axes[joint]
             R = near[joint, :3, :3]
             on_axis, origin = found[joint, :3, 3], near[joint, :3, 3]
-            frames[joint] = matrix(
-                _turn(R @ nominal.axes[joint], axis) @ R,
-                on_axis + np.dot(origin - on_axis, axis) * axis,
-            )
-        steps = inverse(frames[:6]) @ frames[1:]
-        return Chain(np.concatenate([frames[:1], steps[:5]]), nominal.axes, steps[5])
+            if joint not in self.prismatic:
+                origin = on_axis + np.dot(origin - on_axis, axis) * axis
+            frames[joint] = matrix(_turn(R @ nominal.axes[joint], axis) @ R, origin)
+        steps = inverse(frames[:-1]) @ frames[1:]
+        origins = np.concatenate([frames[:1], steps[:-1]])
+        return Chain(origins, nominal.axes, steps[-1], nominal.prismatic)
 
 
-def _arm(rows: Array, tool: Array) -> Arm:
+def _arm(rows: Array, tool: Array, prismatic: tuple[int, ...]) -> Arm:
     offset, d, a, alpha, beta = rows.T
-    return Arm(a, alpha, d, offset, np.ones(6), tool, beta)
+    return Arm(a, alpha, d, offset, np.ones(len(rows)), tool, beta, prismatic=prismatic)
 
 
 def _dh_row(point_mm: Array, along: Array) -> tuple[float, float, float, float, float]:

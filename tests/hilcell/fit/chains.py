@@ -8,15 +8,18 @@ from hilcell.geometry.kinematics import Array
 
 
 def chain_forward(chain: Chain, joints_rad: Array) -> Array:
-    """Return the tip's frame in the root link, (..., 4, 4), for ``joints_rad`` (..., 6)."""
-    tips = [_tip(chain, each) for each in joints_rad.reshape(-1, 6)]
+    """Return the tip's frame in the root link, (..., 4, 4), for ``joints_rad`` (..., n)."""
+    tips = [_tip(chain, each) for each in joints_rad.reshape(-1, len(chain.axes))]
     return np.reshape(tips, (*joints_rad.shape[:-1], 4, 4))
 
 
 def _tip(chain: Chain, joints_rad: Array) -> Array:
     pose = np.eye(4)
-    for origin, axis, angle in zip(chain.origins, chain.axes, joints_rad, strict=True):
-        turn = np.eye(4)
-        turn[:3, :3] = Rotation.from_rotvec(angle * axis).as_matrix()
-        pose = pose @ origin @ turn
+    for number, (origin, axis) in enumerate(zip(chain.origins, chain.axes, strict=True)):
+        motion, value = np.eye(4), joints_rad[number]
+        if number in chain.prismatic:
+            motion[:3, 3] = 1000.0 * value * axis
+        else:
+            motion[:3, :3] = Rotation.from_rotvec(value * axis).as_matrix()
+        pose = pose @ origin @ motion
     return pose @ chain.tip

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from hilcell.cell.settings import SettingsError
-from hilcell.fit.urdf_file import Chain, Urdf, read_urdf, urdf_of
+from hilcell.fit.urdf_file import Chain, Urdf, read_robot, read_urdf, urdf_of
 from hilcell.geometry.frames import matrix
 from hilcell.geometry.kinematics import Arm, Array, forward
 from tests.hilcell.fit.chains import chain_forward
-from tests.hilcell.fit.urdfs import IRB120, PLAIN, reached_m
-from tests.hilcell.geometry.test_kinematics import arm_of as random_arm
+from tests.hilcell.fit.urdfs import IRB120, ON_RAIL, PLAIN, reached_m
+from tests.hilcell.geometry.test_kinematics import chain_of as random_arm
 
 NAMES = [f"joint_{n}" for n in range(1, 7)]
 JOINTS = np.random.default_rng(1).uniform(-2, 2, (5, 6))
@@ -42,25 +42,28 @@ def in_m(poses_mm: Array) -> Array:
     return poses
 
 
-def peer(text: str | bytes, tip: str = "tool0", names: list[str] = NAMES) -> Array:
-    return np.array([reached_m(text, dict(zip(names, q, strict=True)), tip) for q in JOINTS])
+def peer(
+    text: str | bytes, tip: str = "tool0", names: list[str] = NAMES, joints: Array = JOINTS
+) -> Array:
+    return np.array([reached_m(text, dict(zip(names, q, strict=True)), tip) for q in joints])
 
 
-def crooked(arm: Arm) -> Arm:
-    rng = np.random.default_rng(2)
+def crooked(arm: Arm, rng: np.random.Generator) -> Arm:
+    """An arm with the errors of a real robot: lengths 1 mm, angles 2 mrad."""
+    count = len(arm)
     return replace(
         arm,
-        a_mm=arm.a_mm + rng.normal(0, 1, 6),
-        d_mm=arm.d_mm + rng.normal(0, 1, 6),
-        alpha_rad=arm.alpha_rad + rng.normal(0, 2e-3, 6),
-        offset_rad=arm.offset_rad + rng.normal(0, 2e-3, 6),
-        beta_rad=arm.beta_rad + rng.normal(0, 2e-3, 6),
+        a_mm=arm.a_mm + rng.normal(0, 1, count),
+        d_mm=arm.d_mm + rng.normal(0, 1, count),
+        alpha_rad=arm.alpha_rad + rng.normal(0, 2e-3, count),
+        offset_rad=arm.offset_rad + rng.normal(0, 2e-3, count),
+        beta_rad=arm.beta_rad + rng.normal(0, 2e-3, count),
     )
 
 
-def problem_of(path: Path, tip: str = "") -> str:
+def problem_of(path: Path, tip: str = "", base: str = "") -> str:
     with pytest.raises(SettingsError) as caught:
-        read_urdf(path, tip)
+        read_urdf(path, tip, base)
     return str(caught.value)
 
 
@@ -85,7 +88,7 @@ def test_rows_of_a_usual_robot_are_those_of_its_data_sheet(written: Write) -> No
 def calibrated(urdf: Urdf) -> tuple[bytes, Array]:
     """The file of the same robot with errors, and where its tip then is, in m."""
     base, arm = urdf.chain.arm()
-    chain = Chain.of(base, crooked(arm)).beside(urdf.chain)
+    chain = Chain.of(base, crooked(arm, np.random.default_rng(2))).beside(urdf.chain)
     return urdf.with_chain(chain, ["found", "by a fit"]), in_m(chain_forward(chain, JOINTS))
 
 
@@ -107,7 +110,8 @@ def test_a_tip_without_a_fixed_joint_leaves_its_own_frame_over(written: Write) -
     urdf = read_urdf(written(IRB120), "link_6")
     content, wanted = calibrated(urdf)
     base, arm = urdf.chain.arm()
-    left = in_m(urdf.left_at_tip(Chain.of(base, crooked(arm)).beside(urdf.chain)))
+    bent = Chain.of(base, crooked(arm, np.random.default_rng(2))).beside(urdf.chain)
+    left = in_m(urdf.left_at_tip(bent))
     assert 1e-4 < np.abs(left - np.eye(4)).max() < 1e-2
     np.testing.assert_allclose(peer(content, "link_6") @ left, wanted, atol=EXACT_M)
     np.testing.assert_array_equal(read_urdf(written(IRB120)).left_at_tip(urdf.chain), np.eye(4))
@@ -130,7 +134,7 @@ def test_nothing_but_origins_of_the_chain_is_changed(written: Write) -> None:
 
 def test_an_arm_without_a_file_gets_one(written: Write) -> None:
     base, arm = read_urdf(written(IRB120)).chain.arm()
-    arm = replace(crooked(arm), sign=np.array([1.0, -1, 1, 1, -1, 1]))
+    arm = replace(crooked(arm, np.random.default_rng(2)), sign=np.array([1.0, -1, 1, 1, -1, 1]))
     content = urdf_of('a "robot" <1>', Chain.of(base, arm), ["never -- or --->"])
     wanted = in_m(base @ forward(arm, JOINTS))
     np.testing.assert_allclose(peer(content), wanted, atol=EXACT_M)
@@ -140,8 +144,9 @@ def test_an_arm_without_a_file_gets_one(written: Write) -> None:
 BRANCH = (
     '<joint name="b" type="fixed"><parent link="link_6"/><child link="camera"/></joint></robot>'
 )
-SEVENTH = (
-    '<joint name="seven" type="revolute"><parent link="tool0"/><child link="l7"/></joint></robot>'
+MORE = "".join(
+    f'<joint name="more_{n}" type="revolute"><parent link="{parent}"/><child link="l{n}"/></joint>'
+    for n, parent in enumerate(("tool0", "l0", "l1", "l2"))
 )
 LOOP = (
     '<joint name="l" type="fixed"><parent link="tool0"/><child link="base_link"/></joint></robot>'
@@ -161,12 +166,11 @@ JOINT_2 = '<joint name="joint_2" type="revolute">'
     [
         ("</robot>", "", "XML"),
         ("</robot>", BRANCH, "camera, tool0"),
-        ("</robot>", SEVENTH, "seven"),
+        ("</robot>", MORE + "</robot>", "10 moving"),
         ("</robot>", LOOP, "loop"),
         ("</robot>", PARENTS, "link_3 .*joint_3, l"),
         ("</robot>", MANY + "</robot>", "1008"),
-        (JOINT_2, JOINT_2.replace("revolute", "prismatic"), "joint_2"),
-        (JOINT_2, JOINT_2.replace("revolute", "fixed"), "5 revolute"),
+        (JOINT_2, JOINT_2.replace("revolute", "planar"), "joint_2"),
         (JOINT_2, JOINT_2 + '<mimic joint="joint_1"/>', "joint_2"),
         (JOINT_2, JOINT_2 + "<origin/>", "joint_2"),
         ('<child link="link_2"/>', "", "joint_2"),
@@ -223,10 +227,59 @@ def test_what_is_no_urdf_is_refused(written: Write, text: str | bytes) -> None:
 def test_a_tip_is_chosen_by_name(written: Write) -> None:
     text = IRB120.replace("</robot>", BRANCH)
     assert read_urdf(written(text), "camera").tip == "camera"
-    longer = IRB120.replace("</robot>", SEVENTH)
+    longer = IRB120.replace("</robot>", MORE + "</robot>")
     assert read_urdf(written(longer), "tool0").tip == "tool0"
-    assert "l7" in problem_of(written(longer), "l7")
+    assert len(read_urdf(written(longer), "l2").arm) == 9
+    assert "10 moving" in problem_of(written(longer), "l3")
     assert "base_link, " in problem_of(written(text), "nose")
+
+
+def test_an_arm_on_a_rail_is_one_chain(written: Write) -> None:
+    urdf = read_urdf(written(ON_RAIL))
+    assert (urdf.root, urdf.arm.prismatic, len(urdf.arm)) == ("floor", (0,), 7)
+    np.testing.assert_array_equal(urdf.limits_rad[:, 0], [-2.5, 4.0])
+    names = ["rail", *NAMES]
+    joints = np.random.default_rng(3).uniform(-2, 2, (5, 7))
+    wanted = peer(ON_RAIL, names=names, joints=joints)
+    np.testing.assert_allclose(in_m(urdf.poses(joints)), wanted, atol=1e-12)
+    bent = Chain.of(urdf.base, replace(crooked(urdf.arm, np.random.default_rng(2)), tool=urdf.tool))
+    chain = bent.beside(urdf.chain)
+    moved = in_m(chain_forward(bent, joints))
+    again = peer(urdf.with_chain(chain, ["x"]), names=names, joints=joints)
+    np.testing.assert_allclose(again, moved, atol=EXACT_M)
+    plain = urdf_of("r", bent, ["x"])
+    names = [f"joint_{n}" for n in range(1, 8)]
+    np.testing.assert_allclose(peer(plain, names=names, joints=joints), moved, atol=EXACT_M)
+    assert read_urdf(written(plain)).arm.prismatic == (0,)
+
+
+def test_a_base_leaves_out_the_joints_below_it(written: Write) -> None:
+    urdf = read_urdf(written(ON_RAIL), base="base_link")
+    assert (urdf.root, len(urdf.arm)) == ("base_link", 6)
+    np.testing.assert_allclose(in_m(urdf.poses(JOINTS)), peer(IRB120), atol=1e-12)
+    forearm = read_urdf(written(ON_RAIL), "link_6", "link_3")
+    assert (forearm.root, forearm.tip, len(forearm.arm)) == ("link_3", "link_6", 3)
+    text = ON_RAIL.replace("</robot>", BRANCH)
+    assert "link_6 to link_2" in problem_of(written(text), "link_2", "link_6")
+    assert "links: base_link, " in problem_of(written(text), "tool0", "ground")
+    assert "camera, tool0" in problem_of(written(text))
+
+
+def test_of_several_chains_the_only_one_of_six_revolute_joints_is_taken(written: Write) -> None:
+    finger = (
+        '<joint name="finger" type="prismatic"><parent link="link_6"/><child link="tip"/></joint>'
+    )
+    text = IRB120.replace("</robot>", finger + "</robot>")
+    assert read_urdf(written(text)).tip == "tool0"
+    assert len(read_urdf(written(text), "tip").arm) == 7
+    on_rail = ON_RAIL.replace("</robot>", finger + "</robot>")
+    assert "tip, tool0" in problem_of(written(on_rail))
+
+
+@pytest.mark.parametrize("word", ["tip", "base"])
+def test_rows_have_no_links(tmp_path: Path, word: str) -> None:
+    with pytest.raises(SettingsError, match=f"--{word} x names a link of a URDF"):
+        read_robot(tmp_path / "robot.toml", **{word: "x"})
 
 
 def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
@@ -241,9 +294,11 @@ AXES = np.vstack([np.eye(3), -np.eye(3)])
 
 def random_chain(rng: np.random.Generator) -> Chain:
     """Axes in any direction, or as robots have them: parallel, opposite, crossing, in one line."""
-    frames = [_frame(rng) for _ in range(7)]
-    axes = [AXES[rng.integers(6)] if rng.random() < 0.8 else _unit(rng) for _ in range(6)]
-    return Chain(np.array(frames[:6]), np.array(axes), frames[6])
+    count = int(rng.integers(1, 10))
+    frames = [_frame(rng) for _ in range(count + 1)]
+    axes = [AXES[rng.integers(6)] if rng.random() < 0.8 else _unit(rng) for _ in range(count)]
+    prismatic = tuple(np.flatnonzero(rng.random(count) < 0.3).tolist())
+    return Chain(np.array(frames[:-1]), np.array(axes), frames[-1], prismatic)
 
 
 def _frame(rng: np.random.Generator) -> Array:
@@ -258,15 +313,17 @@ def _unit(rng: np.random.Generator) -> Array:
     return np.asarray(v / np.linalg.norm(v))
 
 
-def joints_of(rng: np.random.Generator) -> Array:
-    return rng.uniform(-np.pi, np.pi, (5, 6))
+def joints_of(rng: np.random.Generator, chain: Chain | Arm) -> Array:
+    count = len(chain) if isinstance(chain, Arm) else len(chain.axes)
+    return rng.uniform(-np.pi, np.pi, (5, count))
 
 
 @given(SEEDS)
 def test_every_chain_is_an_arm_exactly(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    chain, joints = random_chain(rng), joints_of(rng)
+    chain = random_chain(rng)
     base, arm = chain.arm()
+    joints = joints_of(rng, chain)
     np.testing.assert_allclose(
         base @ forward(arm, joints), chain_forward(chain, joints), atol=EXACT
     )
@@ -286,8 +343,8 @@ def test_rows_of_axes_that_are_not_parallel_are_standard_dh(seed: int) -> None:
 @given(SEEDS)
 def test_every_arm_is_a_chain_exactly_and_returns(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    arm, base, joints = random_arm(rng), _frame(rng), joints_of(rng)
-    chain = Chain.of(base, arm)
+    arm, base = random_arm(rng), _frame(rng)
+    chain, joints = Chain.of(base, arm), joints_of(rng, arm)
     wanted = base @ forward(arm, joints)
     np.testing.assert_allclose(chain_forward(chain, joints), wanted, atol=EXACT)
     base, arm = chain.arm()
@@ -297,27 +354,15 @@ def test_every_arm_is_a_chain_exactly_and_returns(seed: int) -> None:
 @given(SEEDS)
 def test_a_chain_beside_another_keeps_its_motion_and_takes_the_other_s_axes(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    nominal, joints = random_chain(rng), joints_of(rng)
+    nominal = random_chain(rng)
     base, arm = nominal.arm()
-    crooked = Chain.of(base, crooked_arm(arm, rng))
-    found = crooked.beside(nominal)
+    joints, bent = joints_of(rng, arm), Chain.of(base, crooked(arm, rng))
+    found = bent.beside(nominal)
     np.testing.assert_allclose(
-        chain_forward(found, joints), chain_forward(crooked, joints), atol=EXACT
+        chain_forward(found, joints), chain_forward(bent, joints), atol=EXACT
     )
     np.testing.assert_array_equal(found.axes, nominal.axes)
     assert np.abs(found.origins[:, :3, :3] - nominal.origins[:, :3, :3]).max() < 0.05
-
-
-def crooked_arm(arm: Arm, rng: np.random.Generator) -> Arm:
-    """An arm with the errors of a real robot: lengths 1 mm, angles 2 mrad."""
-    return replace(
-        arm,
-        a_mm=arm.a_mm + rng.normal(0, 1, 6),
-        d_mm=arm.d_mm + rng.normal(0, 1, 6),
-        alpha_rad=arm.alpha_rad + rng.normal(0, 2e-3, 6),
-        offset_rad=arm.offset_rad + rng.normal(0, 2e-3, 6),
-        beta_rad=arm.beta_rad + rng.normal(0, 2e-3, 6),
-    )
 
 
 @pytest.mark.parametrize("axis", AXES)

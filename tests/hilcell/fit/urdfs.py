@@ -63,6 +63,13 @@ IRB120 = """<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
+RAIL = """<link name="floor"/>
+  <joint name="rail" type="prismatic">
+    <origin xyz="0.1 0.2 0" rpy="0 0 0.01"/> <parent link="floor"/> <child link="base_link"/>
+    <axis xyz="1 0 0"/> <limit effort="0" lower="-2.5" upper="4" velocity="1"/>
+  </joint>
+"""
+ON_RAIL = IRB120.replace('<link name="link_1"/>', RAIL + '<link name="link_1"/>')
 PLAIN = (  # as the data sheet has it: the forearm is not turned
     IRB120.replace('xyz="0.134 0 0.07" rpy="0.1 0.2 0.3"', 'xyz="0.134 0 0"').replace(
         '<parent link="link_3"/>', '<parent link="link_3"/><origin xyz="0 0 0.07"/>'
@@ -71,7 +78,7 @@ PLAIN = (  # as the data sheet has it: the forearm is not turned
 
 
 def reached_m(text: str | bytes, joints: Mapping[str, float], tip: str = "tool0") -> Array:
-    """Return the tip's frame (4, 4) in the root link, in m, of joints by name in rad."""
+    """Return the tip's frame (4, 4) in the root link, in m, of joints by name in rad or m."""
     root = ET.fromstring(text)
     above = {_link(joint, "child"): joint for joint in root.findall("joint")}
     pose = RigidTransform.identity()
@@ -88,15 +95,16 @@ def _link(joint: ET.Element, part: str) -> str:
     return found.attrib["link"]
 
 
-def _step(joint: ET.Element, angle: float) -> RigidTransform:
+def _step(joint: ET.Element, value: float) -> RigidTransform:
     origin, axis = joint.find("origin"), joint.find("axis")
     xyz = _three(origin, "xyz", "0 0 0")
     turn = Rotation.from_euler("xyz", _three(origin, "rpy", "0 0 0"))  # fixed axes: r, p, y
     direction = _three(axis, "xyz", "1 0 0")
     direction /= np.linalg.norm(direction)
-    return RigidTransform.from_components(xyz, turn) * RigidTransform.from_rotation(
-        Rotation.from_rotvec(angle * direction)
-    )
+    origin_frame = RigidTransform.from_components(xyz, turn)
+    if joint.attrib["type"] == "prismatic":
+        return origin_frame * RigidTransform.from_translation(value * direction)
+    return origin_frame * RigidTransform.from_rotation(Rotation.from_rotvec(value * direction))
 
 
 def _three(element: ET.Element | None, name: str, default: str) -> Array:
