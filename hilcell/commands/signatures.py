@@ -335,6 +335,10 @@ class Fit(Signature):
 
     robot: str = option("nominal DH rows or URDF", "ROBOT.toml|ROBOT.urdf")
     tip: str = option("last link of the arm in a URDF", "LINK", default="")
+    base: str = option("link of a URDF that the arm stands on", "LINK", default="")
+    coupling: Literal["0", "1", "-1"] = option(
+        "turns of axis 3 by a turn of joint 2 alone, for a URDF (q3 = J3 + J2: 1)", default="0"
+    )
     train: str = option("training data", "A.csv")
     test: str = option("test data (default: cross-validation)", "B.csv", default="")
     columns: str = option("names of both lists' columns", "FILE.toml|OURS=THEIRS,..", default="")

@@ -167,7 +167,7 @@ def check_settings(cell: str | None, settings: dict[str, str]) -> None:
 
 def fit(args: Fit) -> int:
     """Fit measured data, print the prediction errors of each method, write the given files."""
-    robot = read_robot(args.robot, args.tip)
+    robot = read_robot(args.robot, args.tip, args.base, float(args.coupling))
     columns = read_names(args.columns) if args.columns else {}
     train = _read(Path(args.train), columns, robot)
     test = _read(Path(args.test), columns, robot) if args.test else None

@@ -97,11 +97,15 @@ def write_dh(path: Path, robot: Robot, fitted: RigidArm, *, inputs: Iterable[Pat
             rows.append([each.name, each.unit, *numbers, "yes" if each.determined else "no"])
         write_rows(path, header, rows, inputs=inputs)
         return
-    convention = "Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha) Ry(beta)"
+    convention = (
+        "Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha) Ry(beta); prismatic Rz(offset) Tz(q + d)"
+    )
     table = {
         "robot": robot.name,
         "convention": convention,
         "sign": fitted.arm.sign.tolist(),
+        "prismatic": [row + 1 for row in fitted.arm.prismatic],
+        "coupling": robot.arm.coupling,
         "base": robot.base.tolist(),
         "tool": robot.tool.tolist(),
         "parameters": [
@@ -130,9 +134,12 @@ def write_urdf(
     root = fitted.T_L_B @ inverse(robot.base)
     rpy_rad = np.radians(zyx_from_pose(root)[:2:-1])
     placed = f"{_numbers(root[:3, 3])}; {_numbers(rpy_rad * 1000.0)}"
+    against = "+" if robot.arm.coupling > 0.0 else "-"
+    coupled = [f"Joint 3 is the axis's angle, J3 {against} J2 of the controller."]
     comment = [
         f"Calibrated by hilcell {__version__}: joint origins only. {remarks[0]}",
         *remarks[1:],
+        *(coupled if robot.arm.coupling else []),
         f"Root link in the tracker's frame, xyz in m, rpy in rad: {placed}",
         *(
             f"Reflector {clean(label)} in the tip link, in m: {_numbers(point)}"

@@ -73,10 +73,6 @@ class Robot:
         if not (np.abs(signs) == 1.0).all():
             raise ValueError(f"DH signs: expected 1 or -1, got {signs.tolist()}")
         shifts = np.flatnonzero(np.broadcast_to(np.array(prismatic, dtype=bool), count))
-        if coupling not in (-1.0, 0.0, 1.0):
-            raise ValueError(f"coupling: expected 1 or -1, got {coupling:g}")
-        if coupling and (count < 3 or {1, 2} & set(shifts.tolist())):
-            raise ValueError("coupling: joints 2 and 3 must be revolute")
         base, (a_mm, alpha_deg, d_mm, offset_deg) = np.eye(4), dh.T
         if convention == "modified-dh":
             base = pose_from_zyx(a_mm[0], 0.0, 0.0, 0.0, 0.0, alpha_deg[0])
@@ -89,10 +85,9 @@ class Robot:
             signs,
             np.eye(4),
             np.zeros(count),
-            float(coupling),
-            tuple(shifts.tolist()),
+            prismatic=tuple(shifts.tolist()),
         )
-        return cls(name, arm, base)
+        return cls(name, coupled(arm, coupling), base)
 
     @property
     def joint_columns(self) -> list[str]:
@@ -109,6 +104,15 @@ class Robot:
         """Tool frames (N, 4, 4) in the root frame, mm, at nominal joints (N, n)."""
         arm = replace(self.arm, tool=self.tool)
         return self.base @ forward(arm, np.asarray(joints_rad, dtype=float))
+
+
+def coupled(arm: Arm, coupling: float) -> Arm:
+    """The arm with a coupled axis 3; raises `ValueError`."""
+    if coupling not in (-1.0, 0.0, 1.0):
+        raise ValueError(f"coupling: expected 1 or -1, got {coupling:g}")
+    if coupling and not (len(arm) > 2 and arm.turning[1:3].all()):
+        raise ValueError("coupling: expected revolute joints 2 and 3")
+    return replace(arm, coupling=float(coupling))
 
 
 class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -26,7 +26,7 @@ import numpy as np
 
 from hilcell.cell.settings import SettingsError, read_bytes, unreadable
 from hilcell.compensation.targets import numbers
-from hilcell.fit.robot_file import MOST_JOINTS, Robot, read_dh
+from hilcell.fit.robot_file import MOST_JOINTS, Robot, coupled, read_dh
 from hilcell.geometry.frames import cross_matrix, inverse, matrix, pose_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import MM, Arm, Array, link_transforms
 from hilcell.geometry.statistics import lengths_mm
@@ -310,11 +310,12 @@ class Urdf(Robot):
         return len(self.joints) - 1 - last
 
 
-def read_robot(path: Path | str, tip: str = "", base: str = "") -> Robot:
+def read_robot(path: Path | str, tip: str = "", base: str = "", coupling: float = 0.0) -> Robot:
     """Read a robot's nominal kinematics from a URDF or a ``robot.toml``, by the file's suffix.
 
     ``tip`` names the link that ends the arm, where a URDF has several, ``base`` the one that the
-    arm stands on, where that is not the root. Raises `SettingsError` with all problems of the file.
+    arm stands on, where that is not the root; ``coupling`` as in `Robot.from_dh`, which a
+    ``robot.toml`` has itself. Raises `SettingsError` with all problems of the file.
 
     Examples:
         >>> robot = read_robot("irb120.toml")
@@ -323,10 +324,14 @@ def read_robot(path: Path | str, tip: str = "", base: str = "") -> Robot:
     """
     file = Path(path)
     if file.suffix.lower() == URDF:
-        return read_urdf(file, tip, base)
-    for word, link in (("tip", tip), ("base", base)):
-        if link:
-            problem = f"--{word} {link} names a link of a URDF; expected a {URDF} file"
+        robot = read_urdf(file, tip, base)
+        try:
+            return replace(robot, arm=coupled(robot.arm, coupling))
+        except ValueError as error:
+            raise SettingsError(str(file), [str(error)]) from error
+    for word, value in (("tip", tip), ("base", base), ("coupling", coupling)):
+        if value:
+            problem = f"--{word} {value} is of a URDF; expected a {URDF} file"
             raise SettingsError(str(file), [problem])
     return read_dh(file)
 

@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -276,10 +277,16 @@ def test_of_several_chains_the_only_one_of_six_revolute_joints_is_taken(written:
     assert "tip, tool0" in problem_of(written(on_rail))
 
 
-@pytest.mark.parametrize("word", ["tip", "base"])
-def test_rows_have_no_links(tmp_path: Path, word: str) -> None:
-    with pytest.raises(SettingsError, match=f"--{word} x names a link of a URDF"):
-        read_robot(tmp_path / "robot.toml", **{word: "x"})
+@pytest.mark.parametrize("named", [("x",), ("", "x"), ("", "", -1.0)])
+def test_rows_have_no_links(tmp_path: Path, named: tuple[Any, ...]) -> None:
+    with pytest.raises(SettingsError, match="is of a URDF"):
+        read_robot(tmp_path / "robot.toml", *named)
+
+
+def test_a_coupling_is_of_revolute_joints(written: Write) -> None:
+    assert read_robot(written(IRB120), coupling=-1.0).arm.coupling == -1.0
+    with pytest.raises(SettingsError, match="revolute joints 2 and 3"):
+        read_robot(written(IRB120), "link_3", "link_1", 1.0)
 
 
 def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
