@@ -1,15 +1,14 @@
 """Repeatability of the robot, and whether it has changed.
 
-Repeated visits give the error floor of any compensation (ISO 9283 RP). Poses are re-visited after
-the grid, so that nothing is built on a changed robot: vertices, and the base frame's outermost
-poses, which detect a slipped mount; and at the end of the run, so that the robot is still the
-calibrated one. After the grid a few vertices are approached from above as well, which shows the
+Repeated visits give the error floor of any compensation, and RP (ISO 9283). Poses are re-visited
+after the grid, so that nothing is built on a changed robot: vertices, and the base frame's
+outermost poses, which detect a slipped mount; and at the end of the run, so that the robot is still
+the calibrated one. After the grid a few vertices are approached from above as well, which shows the
 joints' lost motion.
 """
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import msgspec
@@ -21,7 +20,13 @@ from hilcell.calibration.grid import grid_of, vertex_ids
 from hilcell.calibration.lost_motion import REVERSAL, reversal
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
-from hilcell.geometry.statistics import figures_of, from_mean_mm, repeatability_mm, rms
+from hilcell.geometry.statistics import (
+    figures_of,
+    from_mean_mm,
+    repeatability_mm,
+    rms,
+    without_noise,
+)
 from hilcell.journal.log import Log, positions_mm, variances_mm2
 from hilcell.model.events import VisitedOnceMore
 from hilcell.model.plan import PlannedStep
@@ -76,10 +81,7 @@ class Repeatability:
         session.close_step()
 
     def result(self, log: Log) -> Result:
-        found = Repeated(
-            rp_mm=self.rp_mm(log), rp_robot_mm=self.rp_robot_mm(log), floor_mm=self.floor(log).mean
-        )
-        return {"repeatability": found}
+        return {"repeatability": self.repeated(log)}
 
     @staticmethod
     def visits(cell: Cell) -> int:
@@ -108,23 +110,22 @@ class Repeatability:
         )
 
     @staticmethod
-    def rp_mm(log: Log) -> float:
-        """RP = mean + 3 s of the distances, all places together (ISO 9283, 7.2.2). One place has
-        too few visits: three places make the standard's 30, and half of them on a quick plan.
-        """
-        return repeatability_mm(Repeatability.distances_mm(log))
-
-    @staticmethod
-    def rp_robot_mm(log: Log) -> float:
-        """RP less the tracker's noise; 0 where the noise explains all.
-
-        Mean squares subtract: that of the distances less that of the readings, as the tracker
-        states them. Distances are assumed to keep the shape of their distribution.
-        """
-        points = [point for place in Repeatability._clouds(log) for point in place]
-        noise_mm2 = float(variances_mm2(points).sum(axis=1).mean())
-        share = 1.0 - noise_mm2 / rms(Repeatability.distances_mm(log)) ** 2
-        return Repeatability.rp_mm(log) * math.sqrt(max(0.0, share))
+    def repeated(log: Log) -> Repeated:
+        """RP of the place where it is largest (ISO 9283, 7.2.2), and the radius of all together."""
+        places, pooled_mm = Repeatability._clouds(log), Repeatability.distances_mm(log)
+        radius_mm = repeatability_mm(pooled_mm)
+        noise = [float(variances_mm2(points).sum(axis=1).mean()) for points in places]
+        rp_mm = [repeatability_mm(from_mean_mm(positions_mm(points))) for points in places]
+        worst = int(np.argmax(rp_mm))
+        scatter_mm2 = float(np.trace(np.cov(positions_mm(places[worst]).T)))
+        return Repeated(
+            rp_mm=rp_mm[worst],
+            rp_robot_mm=rp_mm[worst] * without_noise(scatter_mm2, noise[worst]),
+            pooled_radius_mm=radius_mm,
+            pooled_radius_robot_mm=radius_mm
+            * without_noise(rms(pooled_mm) ** 2, float(np.mean(noise))),
+            floor_mm=Repeatability.floor(log).mean,
+        )
 
     @staticmethod
     def floor(log: Log) -> Floor:

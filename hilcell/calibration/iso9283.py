@@ -31,7 +31,7 @@ from hilcell.calibration.position_errors import Errors, position_errors
 from hilcell.cell.file import Cell
 from hilcell.compensation.kinematic import Kinematic
 from hilcell.geometry.frames import apply, inverse, motion_levers
-from hilcell.geometry.statistics import from_mean_mm, repeatability_mm, rms
+from hilcell.geometry.statistics import from_mean_mm, repeatability_mm, rms, without_noise
 from hilcell.journal.log import Log, variances_mm2
 from hilcell.model.outcome import Outcome, outcome_of
 from hilcell.model.point import Point
@@ -106,8 +106,8 @@ class Pose(msgspec.Struct, frozen=True):
         """AP and RP of positions attained at one commanded position (7.2.1, 7.2.2).
 
         All attainments share the covariance ``shared_mm2`` (3, 3). ``noise_mm2``: the trace of the
-        measurement's covariance: mean squares subtract, distances keep the shape of their
-        distribution. U of RP_l = mean + 3 S is the scatter of both, taken as independent.
+        measurement's covariance. U of RP_l = mean + 3 S is the scatter of both, taken as
+        independent.
         """
         attained_mm = at.nominal_mm + at.error_mm
         count, scatter_mm2 = len(attained_mm), np.cov(attained_mm.T)
@@ -117,8 +117,6 @@ class Pose(msgspec.Struct, frozen=True):
         known_mm2 = scatter_mm2 / count + shared_mm2
         l_mm = from_mean_mm(attained_mm)
         rp_mm, s_l_mm = repeatability_mm(l_mm), float(l_mm.std(ddof=1))
-        whole_mm2 = float(np.trace(scatter_mm2))
-        of_robot = 1.0 - noise_mm2 / whole_mm2 if whole_mm2 > noise_mm2 else 0.0
         return cls(
             commanded_mm.tolist(),
             count,
@@ -129,7 +127,7 @@ class Pose(msgspec.Struct, frozen=True):
             expanded_mm(math.sqrt(float(along @ known_mm2 @ along))),
             rp_mm,
             expanded_mm(s_l_mm * math.sqrt(1.0 / count + 9.0 / (2.0 * (count - 1)))),
-            rp_mm * math.sqrt(of_robot),
+            rp_mm * without_noise(float(np.trace(scatter_mm2)), noise_mm2),
             float(l_mm.mean()),
             s_l_mm,
         )

@@ -49,8 +49,17 @@ def from_mean_mm(cloud_mm: Array) -> Array:
 
 
 def repeatability_mm(distances_mm: Array) -> float:
-    """Return the pose repeatability RP = mean + 3 s of distances l_j (N,) (ISO 9283, 7.2.2)."""
+    """Return mean + 3 s of distances (N,); of the l_j of one pose it is RP (ISO 9283, 7.2.2)."""
     return float(distances_mm.mean() + 3 * distances_mm.std(ddof=1))
+
+
+def without_noise(scatter_mm2: float, noise_mm2: float) -> float:
+    """Factor that takes the readings' noise off a radius; 0 where the noise explains all.
+
+    Mean squares subtract (mm^2 of 3D distances); they are assumed to keep the shape of their
+    distribution.
+    """
+    return math.sqrt(1.0 - noise_mm2 / scatter_mm2) if scatter_mm2 > noise_mm2 else 0.0
 
 
 def pooled_std_mm(clouds_mm: Sequence[Array]) -> float:

@@ -99,10 +99,17 @@ class Place(StepResult, frozen=True, kw_only=True):
 
 
 class Repeated(StepResult, frozen=True, kw_only=True):
-    """RP of ISO 9283 as measured and of the robot alone, and the mean that both leave, mm."""
+    """Repeated visits, mm; ``robot``: the tracker's noise taken off.
+
+    RP is that of ISO 9283 (7.2.2) at the place where it is largest. The pooled radius is the RP
+    that very many visits would give: places together, free of the scatter of their few visits'
+    means. ``floor_mm`` is the mean distance of one visit.
+    """
 
     rp_mm: float
     rp_robot_mm: float
+    pooled_radius_mm: float
+    pooled_radius_robot_mm: float
     floor_mm: float
 
 

@@ -112,8 +112,10 @@ class Tables:
         if repeated is not None:
             note += (
                 " Repeatability and tracker noise alone would leave "
-                f"{repeated.floor_mm:.3f} mm (mean). RP of the robot (ISO 9283), tracker noise "
-                f"taken off: {repeated.rp_robot_mm:.3f} mm."
+                f"{repeated.floor_mm:.3f} mm (mean). Tracker noise taken off: RP of the robot "
+                f"(ISO 9283, 7.2.2) {repeated.rp_robot_mm:.3f} mm at the worst of the places that "
+                f"were visited again; pooled radius, the RP of very many visits, "
+                f"{repeated.pooled_radius_robot_mm:.3f} mm."
             )
         return Table(ACCURACY, rows, "Before and after", note)
 

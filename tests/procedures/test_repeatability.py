@@ -11,6 +11,7 @@ from hilcell.cell.file import Cell, load_cell
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
 from hilcell.model.point import Point, PointId
+from hilcell.ports import Array
 from procedures.repeatability import Repeatability
 from tests.whole.bench import record_of
 from tests.whole.golden import GoldenRuns
@@ -30,8 +31,11 @@ class Visits(Log):
             for visit in range(Repeatability.visits(cell)):
                 noise_mm = rng.standard_normal(3) * robot_mm
                 noise_mm += rng.standard_normal(3) * np.array(TRACKER_MM)
-                id = PointId("repeatability", place=place, number=visit)
-                self._take_point(_point(id, 1000.0 * place + noise_mm), visit + 1)
+                self.put(place, visit, noise_mm)
+
+    def put(self, place: int, visit: int, off_mm: Array) -> None:
+        id = PointId("repeatability", place=place, number=visit)
+        self._take_point(_point(id, 1000.0 * place + off_mm), visit + 1)
 
     @property
     def cell(self) -> Cell:
@@ -39,7 +43,7 @@ class Visits(Log):
         return self._cell
 
 
-def _point(id: PointId, xyz_mm: np.ndarray[tuple[int], np.dtype[np.float64]]) -> Point:
+def _point(id: PointId, xyz_mm: Array) -> Point:
     x, y, z = xyz_mm.tolist()
     return Point(
         id=id, key=id.key, group=id.group, station="S1100", reflector="",
@@ -54,16 +58,38 @@ def logs(request: pytest.FixtureRequest) -> list[Visits]:
     return [Visits(cell, 0.0166, seed) for seed in range(100)]
 
 
-def test_the_robots_rp_has_the_trackers_noise_taken_off(logs: list[Visits]) -> None:
+def test_the_pooled_radius_is_the_rp_of_very_many_visits(logs: list[Visits]) -> None:
     """16.6 um on each Cartesian axis is RP .06 (the distances are Maxwell's)."""
+    found = [Repeatability.repeated(log) for log in logs]
     off_mm = 0.004 if logs[0].cell.plan.quick else 0.003  # s of few visits is a little low
-    assert np.mean([Repeatability.rp_robot_mm(log) for log in logs]) == pytest.approx(
+    assert np.mean([each.pooled_radius_robot_mm for each in found]) == pytest.approx(
         0.060, abs=off_mm
     )
     whole_mm = float(np.sqrt(3 * 0.0166**2 + np.square(TRACKER_MM).sum()))
-    assert np.mean([Repeatability.rp_mm(log) for log in logs]) == pytest.approx(
+    assert np.mean([each.pooled_radius_mm for each in found]) == pytest.approx(
         0.060 * whole_mm / (0.0166 * np.sqrt(3)), abs=off_mm
     )
+
+
+def test_rp_is_the_standards_at_its_worst_place_and_the_pooled_radius_another_figure() -> None:
+    """By hand from ISO 9283:1998, 7.2.2, with the barycentres .01, 0 and 0 mm:
+
+    P0: l = .01 (4 times), .04: mean .016, S = sqrt(.00072 / 4); RP = .05625 mm
+    P1: l = .02 (4 times), 0: mean .016, S = sqrt(.00032 / 4); RP = .04283 mm
+    P2: l = 0; RP = 0. Pooled: 15 distances, times sqrt(5 / 4): mean .01193, s .01300.
+    """
+    log = Visits(load_cell("paper", {"plan.quick": "true"}), 0.0, 1)
+    along_mm = [(0, 0, 0, 0, 0.05), (-0.02, 0.02, -0.02, 0.02, 0), (0, 0, 0, 0, 0)]
+    for place, offs_mm in enumerate(along_mm):
+        for visit, off_mm in enumerate(offs_mm):
+            log.put(place, visit, np.array([off_mm, 0.0, 0.0]))
+    found = Repeatability.repeated(log)
+    assert found.rp_mm == pytest.approx(0.0562492, abs=1e-7)
+    assert found.pooled_radius_mm == pytest.approx(0.0509311, abs=1e-7)
+    noise_mm2 = 0.0075**2 + 2 * 0.0105**2  # of a reading, of TRACKER_MM
+    scatter_mm2 = (4 * 0.01**2 + 0.04**2) / 4
+    wanted_mm = 0.0562492 * np.sqrt(1.0 - noise_mm2 / scatter_mm2)
+    assert found.rp_robot_mm == pytest.approx(wanted_mm, abs=1e-7)
 
 
 def test_the_floor_does_not_depend_on_few_visits(logs: list[Visits]) -> None:
@@ -74,8 +100,9 @@ def test_the_floor_does_not_depend_on_few_visits(logs: list[Visits]) -> None:
     )
 
 
-def test_a_robot_that_is_better_than_the_tracker_has_no_rp_of_its_own() -> None:
-    found = [Repeatability.rp_robot_mm(Visits(load_cell("paper"), 0.0, seed)) for seed in range(20)]
+def test_a_robot_that_is_better_than_the_tracker_has_no_radius_of_its_own() -> None:
+    logs = [Visits(load_cell("paper"), 0.0, seed) for seed in range(20)]
+    found = [Repeatability.repeated(log).pooled_radius_robot_mm for log in logs]
     assert min(found) == 0.0
     assert max(found) < 0.03
 

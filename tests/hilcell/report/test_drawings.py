@@ -121,7 +121,10 @@ def test_labels_of_the_errors_in_order_do_not_overlap(
     for how, error_mm in (("before", before), ("chosen", after)):
         writer.validated("S300", how, [(share * error_mm, 0.0, 0.0) for share in (0.9, 1.0)])
     facts = writer.facts()
-    facts.result["repeatability"] = {"rp_mm": 0.06, "rp_robot_mm": 0.05, "floor_mm": 0.01}
+    facts.result["repeatability"] = {
+        "rp_mm": 0.06, "rp_robot_mm": 0.05,
+        "pooled_radius_mm": 0.06, "pooled_radius_robot_mm": 0.05, "floor_mm": 0.01,
+    }  # fmt: skip
     stated = structs.replace(
         facts.cell.validation, mean_tolerance_mm=limit_mm, max_tolerance_mm=1.5 * limit_mm
     )
