@@ -24,7 +24,7 @@ from hilcell.ports import HilcellError
 
 @dataclass(frozen=True, eq=False)
 class StaticPoses:
-    """M poses at rest: joints (M, 6) as commanded, nominal poses (M, 4, 4), errors e = actual -
+    """M poses at rest: joints (M, n) as commanded, nominal poses (M, 4, 4), errors e = actual -
     nominal (M, 3) of their positions.
 
     ``covariance_mm2`` (M, 3, 3): of each averaged reading, NaN where unknown. Poses of one ``fold``
@@ -38,7 +38,7 @@ class StaticPoses:
     fold: Ints
 
     def __post_init__(self) -> None:
-        rows = {"joints_rad": (6,), "nominal": (4, 4), "error_mm": (3,), "covariance_mm2": (3, 3)}
+        rows = {"nominal": (4, 4), "error_mm": (3,), "covariance_mm2": (3, 3)}
         for name, row in rows.items():
             found, shape = np.shape(getattr(self, name)), (len(self.joints_rad), *row)
             if found != shape:

@@ -325,7 +325,7 @@ class RobotFit:
         return self.result["chosen"]
 
     def predict(self, joints_rad: Array, target: str) -> Predicted:
-        """Positions of a reflector at commanded joints (N, 6) by the chosen method. Raises
+        """Positions of a reflector at commanded joints (N, n) by the chosen method. Raises
         `FitError` for a reflector that was not measured.
         """
         rows = Measurements.unmeasured(np.asarray(joints_rad, dtype=float), target)

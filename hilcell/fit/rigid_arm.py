@@ -98,7 +98,7 @@ def write_dh(path: Path, robot: Robot, fitted: RigidArm, *, inputs: Iterable[Pat
         write_rows(path, header, rows, inputs=inputs)
         return
     convention = (
-        "Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha) Ry(beta); prismatic Rz(offset) Tz(q + d)"
+        "Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha) Ry(beta); prismatic Rz(offset) Tz(sign q + d)"
     )
     table = {
         "robot": robot.name,
@@ -159,7 +159,7 @@ def _numbers(values_mm: Array) -> str:
 
 def alone(figures: Figures) -> list[str]:
     """Lines for people: effects that a URDF or DH table omits, and the residual."""
-    unsaid = "It cannot state deflection by gravity, waves of the gears and the residual model."
+    unsaid = "It cannot state gravity, errors of drives (waves, pitch) and the residual model."
     misses = f"mean {figures.mean:.4f}, p95 {figures.p95:.4f}, max {figures.max:.4f} mm"
     return [
         unsaid,

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from hilcell.errors import HilcellError
 from hilcell.geometry.frames import inverse, to_rotvec
-from hilcell.geometry.kinematics import Arm, Array, Bools, Ints, forward, link_transforms
+from hilcell.geometry.kinematics import MM, Arm, Array, Bools, Ints, forward, link_transforms
 
 BEHIND, BEYOND, FLIPPED = 1, 2, 4  # status bits
 
@@ -219,6 +219,8 @@ class _ParallelAxes(_Family):
 
 
 def _family(arm: Arm) -> _Family:
+    if len(arm) != 6 or arm.prismatic:
+        raise ReachError("closed-form inverse kinematics: expected six revolute joints")
     families: tuple[_Family, ...] = (_SphericalWrist(), _ParallelAxes())
     odd = [family.oddities(arm) for family in families]
     family, least = min(zip(families, odd, strict=True), key=lambda pair: len(pair[1]))
@@ -312,36 +314,44 @@ def nearest_revolutions(joints_rad: Array, limits_rad: Array, reference_rad: Arr
 
 
 def joint_jacobian(arm: Arm, joints_rad: ArrayLike) -> Array:
-    """Return d({T} shift in mm, rotation vector in rad)/d(joints), (..., 6, 6), axes of {B}."""
+    """Return d({T} shift in mm, rotation vector in rad)/d(joints), (..., 6, n), axes of {B}."""
     joints = np.asarray(joints_rad, dtype=float)
     links = link_transforms(arm, joints)
     frame = np.broadcast_to(np.eye(4), links[..., 0, :, :].shape)
     tip = forward(arm, joints)[..., :3, 3]
     columns = []
-    for row in range(6):
+    for row in range(len(arm)):
         axis = arm.sign[row] * frame[..., :3, 2]
-        columns.append(np.concatenate([np.cross(axis, tip - frame[..., :3, 3]), axis], axis=-1))
+        if row in arm.prismatic:
+            shift, turn = MM * axis, np.zeros_like(axis)
+        else:
+            shift, turn = np.cross(axis, tip - frame[..., :3, 3]), axis
+        columns.append(np.concatenate([shift, turn], axis=-1))
         frame = frame @ links[..., row, :, :]
-    columns[1] = columns[1] + arm.coupling * columns[2]
+    if arm.coupling:
+        columns[1] = columns[1] + arm.coupling * columns[2]
     return np.stack(columns, axis=-1)
 
 
 def refined(arm: Arm, poses: Array, start_rad: Array) -> tuple[Array, Bools]:
-    """Joints (N, 6) of any six-axis arm for poses (N, 4, 4), and which converged (N,).
+    """Joints (N, n) of any arm for poses (N, 4, 4), and which converged (N,).
 
-    From a start (N, 6), by Levenberg-Marquardt with damping by the residual, so that it also leaves
-    singular starts.
+    From a start (N, n), by Levenberg-Marquardt with damping by the residual, so that it also leaves
+    singular starts. An arm of more than six joints stays near the start; one of fewer takes the
+    position, and the orientation as far as it can.
     """
+    six = len(arm) >= 6
+    turn_weight = 1.0 if six else 1e-4
     joints, arrived = start_rad.copy(), np.zeros(len(poses), dtype=bool)
     length_mm = max(float(np.abs(arm.a_mm).max()), 1.0)
-    scale = np.array([1.0, 1.0, 1.0, *[length_mm] * 3]) / length_mm
+    scale = np.array([1.0, 1.0, 1.0, *[turn_weight * length_mm] * 3]) / length_mm
     refined_mm, refined_rad = 1e-7, 1e-10
     for _ in range(101):
         target, found = poses[~arrived], forward(arm, joints[~arrived])
         rotation = target[..., :3, :3] @ np.swapaxes(found[..., :3, :3], -1, -2)
         error = np.hstack([target[..., :3, 3] - found[..., :3, 3], to_rotvec(rotation)])
         shift, turn = (np.linalg.norm(each, axis=-1) for each in (error[:, :3], error[:, 3:]))
-        there = (shift <= refined_mm) & (turn <= refined_rad)
+        there = (shift <= refined_mm) & ((turn <= refined_rad) if six else True)
         arrived[~arrived] = there
         if arrived.all():
             break
@@ -349,7 +359,16 @@ def refined(arm: Arm, poses: Array, start_rad: Array) -> tuple[Array, Bools]:
         J = joint_jacobian(arm, left) * scale[:, None]
         scaled = error[~there] * scale
         damping = 0.5 * np.sum(scaled**2, axis=-1) + 1e-15
-        normal = np.swapaxes(J, -1, -2) @ J + damping[..., None, None] * np.eye(6)
-        gradient = np.einsum("...ij,...i->...j", J, scaled)
-        joints[~arrived] = left + np.linalg.solve(normal, gradient[..., None])[..., 0]
+        joints[~arrived] = left + _damped(J, scaled, damping)
     return joints, arrived
+
+
+def _damped(J: Array, error: Array, damping: Array) -> Array:
+    """Return steps (N, n) of Levenberg and Marquardt, by the smaller of J'J and JJ'."""
+    J_T = np.swapaxes(J, -1, -2)
+    if J.shape[-1] > J.shape[-2]:
+        normal = J @ J_T + damping[..., None, None] * np.eye(J.shape[-2])
+        return np.asarray((J_T @ np.linalg.solve(normal, error[..., None]))[..., 0])
+    normal = J_T @ J + damping[..., None, None] * np.eye(J.shape[-1])
+    gradient = np.einsum("...ij,...i->...j", J, error)
+    return np.asarray(np.linalg.solve(normal, gradient[..., None])[..., 0])

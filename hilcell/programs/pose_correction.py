@@ -5,7 +5,7 @@ where nominal kinematics with that tool fit the training poses best: an identifi
 millimetres off where the poses do not determine it, and all corrections would compensate for that.
 
 Targets are a program, or a list: of poses of the tool point in the robot's root frame, under the
-header of `compensate`, or of joints under ``name,j1_deg,...,j6_deg``.
+header of `compensate`, or of joints under ``name,j1_deg,...``, as `Robot.joint_columns` has them.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ from hilcell.sanitize import counted
 class CorrectedPoses:
     """N poses of a tool point in the robot's root frame, and the commands that reach them.
 
-    ``nominal`` and ``command`` (N, 4, 4) in mm, with equal orientations; ``joints_rad`` (N, 6): the
+    ``nominal`` and ``command`` (N, 4, 4) in mm, with equal orientations; ``joints_rad`` (N, n): the
     nominal arm's at ``nominal``; ``bounds``: of the position that the command reaches.
     """
 
@@ -74,7 +74,7 @@ class CorrectedPoses:
         return self.bounds.covariance_mm2
 
     def command_rad(self) -> Array:
-        """The nominal arm's joints (N, 6) at ``command``. Raises `HilcellError` where a joint moves
+        """The nominal arm's joints (N, n) at ``command``. Raises `HilcellError` where a joint moves
         by more than 5 deg, or leaves its limits.
         """
         return self.reach.near(self.command, self.joints_rad, self.names)
@@ -105,10 +105,10 @@ class PoseCorrection:
             raise FitError(f"no target is corrected: {fit.result['reason']}")
         method, robot, train = fit.methods[fit.chosen], fit.robot, fit.train
         controller = Controller.of(robot, method, train, tool)
-        arm = with_tool_point(replace(robot.arm, tool=robot.tool), controller.tool_mm)
+        with_tool = replace(robot, tool=shifted(robot.tool, controller.tool_mm))
         known = np.unique(train.joints_rad, axis=0)
         known = known[:: len(known) // most_known + 1]
-        return cls(method, controller, Reach(arm, robot.base, known, robot.limits_rad))
+        return cls(method, controller, Reach(with_tool, known))
 
     def of_poses(self, poses: ArrayLike, names: Sequence[str] = ()) -> CorrectedPoses:
         """Corrected poses (N, 4, 4) of the tool point in the robot's root frame.
@@ -121,12 +121,12 @@ class PoseCorrection:
         return self.corrected(labels, nominal, self.reach.joints(nominal, labels))
 
     def of_joints(self, joints_rad: ArrayLike, names: Sequence[str] = ()) -> CorrectedPoses:
-        """Corrected poses of the nominal arm at joints (N, 6), as `of_poses`."""
+        """Corrected poses of the nominal arm at joints (N, n), as `of_poses`."""
         joints = np.array(joints_rad, dtype=float)
         return self.corrected(_labels(names, joints), self.reach.poses(joints), joints)
 
     def corrected(self, names: list[str], poses: Array, joints_rad: Array) -> CorrectedPoses:
-        """Corrected poses (N, 4, 4) with known nominal joints (N, 6)."""
+        """Corrected poses (N, 4, 4) with known nominal joints (N, n)."""
         errors = self.controller.errors(self.method, joints_rad)
         command = poses.copy()
         command[:, :3, 3] -= errors.error_mm
@@ -146,31 +146,38 @@ def _labels(names: Sequence[str], values: Array) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """Poses and joints of a nominal arm with a tool: its base in the root, measured joints.
+    """Poses and joints of a nominal robot whose tool is the tool point.
 
-    ``known_rad`` (M, 6): measured joints: a pose takes the posture of the nearest. ``limits_rad``
-    (2, 6).
+    ``known_rad`` (M, n): measured joints: a pose takes the posture of the nearest.
     """
 
-    arm: Arm
-    base: Array
+    robot: Robot
     known_rad: Array
-    limits_rad: Array
 
     STARTS = 8  # measured poses from which one is searched
 
+    @cached_property
+    def arm(self) -> Arm:
+        return replace(self.robot.arm, tool=self.robot.tool)
+
     def poses(self, joints_rad: Array) -> Array:
-        return self.base @ forward(self.arm, joints_rad)
+        return self.robot.poses(joints_rad)
 
     def joints(self, poses: Array, names: Sequence[str]) -> Array:
-        """Joints (N, 6) for poses in the root, in the one posture that was measured."""
+        """Joints (N, n) for poses in the root, in the one posture that was measured."""
+        if len(self.arm) != 6:
+            raise HilcellError(
+                f"a pose does not say the {counted(len(self.arm), 'joint')} of {self.robot.name}, "
+                "only six joints follow from it; give joints",
+                code="HC-C10",
+            )
         if not self._one_posture:
             raise HilcellError(
                 "the measured poses have several postures (elbow, wrist), and a pose does not say "
                 "which the robot takes there; give joints",
                 code="HC-C10",
             )
-        joints, lost = np.empty((len(poses), 6)), np.zeros(len(poses), dtype=bool)
+        joints, lost = np.empty((len(poses), len(self.arm))), np.zeros(len(poses), dtype=bool)
         at_once = 512  # poses of one search
         for first in range(0, len(poses), at_once):
             part = slice(first, first + at_once)
@@ -183,17 +190,22 @@ class Reach:
         return joints
 
     def near(self, poses: Array, joints_rad: Array, names: Sequence[str]) -> Array:
-        """Joints (N, 6) for poses a correction away; refuses large motions, and other limits."""
-        found, arrived = refined(self.arm, inverse(self.base) @ poses, joints_rad)
+        """Joints (N, n) for poses a correction away; refuses large motions, and other limits."""
+        found, arrived = refined(self.arm, inverse(self.robot.base) @ poses, joints_rad)
+        refuse(
+            ~arrived, names, "corrected targets are not reached",
+            "the arm is singular there, or has too few joints; move them",
+        )  # fmt: skip
         # of a joint by a correction: beyond, the wrist is singular there
         most_rotation_rad = np.radians(5.0)
-        near = arrived & (np.abs(found - joints_rad).max(axis=1) <= most_rotation_rad)
+        near = np.abs(found - joints_rad).max(axis=1) <= most_rotation_rad
         refuse(
             ~near, names,
             f"corrections turn a joint by more than {np.degrees(most_rotation_rad):g} deg",
-            "arm or wrist are singular there; give poses",
+            "arm or wrist are singular there; move them, or give poses",
         )  # fmt: skip
-        inside = (found >= self.limits_rad[0]) & (found <= self.limits_rad[1])
+        low, high = self.robot.limits_rad
+        inside = (found >= low) & (found <= high)
         refuse(
             ~inside.all(axis=1), names, "corrected targets leave the joints' limits",
             "move them away from the limits",
@@ -206,11 +218,12 @@ class Reach:
         return not self._searched(self.poses(self.known_rad), enough=self.STARTS)[2].any()
 
     def _searched(self, poses: Array, enough: int) -> tuple[Array, Bools, Bools]:
-        """Joints (N, 6), which converged, which in several postures, each (N,). Searched from
+        """Joints (N, n), which converged, which in several postures, each (N,). Searched from
         measured poses nearby until ``enough`` lead there.
         """
-        in_base = inverse(self.base) @ poses
-        joints, count = np.zeros((len(poses), 6)), np.zeros(len(poses), dtype=int)
+        in_base = inverse(self.robot.base) @ poses
+        joints = np.zeros((len(poses), len(self.arm)))
+        count = np.zeros(len(poses), dtype=int)
         several = np.zeros(len(poses), dtype=bool)
         same_posture_rad = np.pi / 2  # of a joint: another posture turns one further
         other_rad = 0.01  # of a joint: two postures, not two roundings of one
@@ -243,11 +256,11 @@ def refuse(bad: Bools, names: Sequence[str], what: str, act: str) -> None:
         raise HilcellError(f"{count} of {len(bad)} {what}: {named}{more}; {act}", code="HC-C10")
 
 
-def with_tool_point(arm: Arm, point_mm: Array) -> Arm:
-    """The arm whose tool frame is shifted to a point (3,) in it."""
-    tool = arm.tool.copy()
-    tool[:3, 3] += tool[:3, :3] @ point_mm
-    return replace(arm, tool=tool)
+def shifted(tool: Array, point_mm: Array) -> Array:
+    """A tool frame (4, 4), shifted to a point (3,) in it."""
+    moved = tool.copy()
+    moved[:3, 3] += tool[:3, :3] @ point_mm
+    return moved
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,7 +296,7 @@ class Controller:
         return np.asarray(apply(inverse(self.robot.tool), self.smr_mm[None])[0])
 
     def errors(self, method: Method, joints_rad: Array) -> Prediction:
-        """Errors e = actual - nominal of the reflector in the root frame at joints (N, 6)."""
+        """Errors e = actual - nominal of the reflector in the root frame at joints (N, n)."""
         rows = Measurements.unmeasured(joints_rad, self.target)
         seen_mm, covariance_mm2 = method.predict(rows)
         nominal_mm = apply_each(forward(self.robot.arm, joints_rad), self.smr_mm)
@@ -293,7 +306,6 @@ class Controller:
 
 
 ROOT = "the robot's root frame"  # that poses are in
-JOINT_HEADER = ["name", *(f"j{n}_deg" for n in range(1, 7))]
 
 
 @dataclass(frozen=True, eq=False)
@@ -326,7 +338,8 @@ class ArmTargets(TargetFiles):
         sent = zyx_from_pose(found.command)
         header, rows = HEADER, list(target_rows(names, sent))
         if as_joints:
-            header, rows = JOINT_HEADER, list(joint_rows(names, found.command_rad()))
+            header = joint_header(fit.robot)
+            rows = list(joint_rows(fit.robot, names, found.command_rad()))
         if program is not None:
             cls._check_program(program, reach, joints_rad, sent, source, say)
         stamp = Stamp(f"fit of {Path(train.source).name}", written_now())
@@ -389,7 +402,7 @@ class ArmTargets(TargetFiles):
                 )
         if program.needs_arm:
             try:
-                program.check_joints(reach.arm, reach.base, command)
+                program.check_joints(reach.arm, reach.robot.base, command)
             except ReachError as error:
                 say(f"{source.name}: {program.needs_arm} were not checked: {error}")
 
@@ -413,18 +426,23 @@ class ArmTargets(TargetFiles):
 
 
 def read_list(path: Path, reach: Reach) -> tuple[list[str], Array, Array, bool]:
-    """N names, the tool's poses (N, 4, 4) in the root, nominal joints (N, 6), whether these are
+    """N names, the tool's poses (N, 4, 4) in the root, nominal joints (N, n), whether these are
     listed. Raises `SettingsError`, `HilcellError`.
     """
-    rows = read_named_rows(path, read_file(path), [HEADER, JOINT_HEADER], "targets")
+    robot = reach.robot
+    rows = read_named_rows(path, read_file(path), [HEADER, joint_header(robot)], "targets")
     if rows.header == HEADER:
         poses = poses_from_zyx(np.array(rows.values))
         return rows.names, poses, reach.joints(poses, rows.names), False
-    joints_rad = np.radians(rows.values)
+    joints_rad = np.array(rows.values) * robot.column_units
     return rows.names, reach.poses(joints_rad), joints_rad, True
 
 
-def joint_rows(names: Iterable[str], joints_rad: Array) -> Iterator[list[str]]:
-    """Yield the rows of joints (N, 6) under `JOINT_HEADER`."""
-    for name, row in zip(names, np.degrees(joints_rad), strict=True):
+def joint_header(robot: Robot) -> list[str]:
+    return ["name", *robot.joint_columns]
+
+
+def joint_rows(robot: Robot, names: Iterable[str], joints_rad: Array) -> Iterator[list[str]]:
+    """Yield the rows of joints (N, n) under `joint_header`."""
+    for name, row in zip(names, joints_rad / robot.column_units, strict=True):
         yield [name, *(f"{each:.6f}" for each in row)]

@@ -24,7 +24,7 @@ from hilcell.geometry.frames import (
 )
 from hilcell.geometry.inverse import refined
 from hilcell.geometry.kinematics import Array, forward
-from hilcell.programs.pose_correction import JOINT_HEADER, joint_rows
+from hilcell.programs.pose_correction import joint_header, joint_rows
 from tests.hilcell.commands.test_fit import write_dh, write_rows
 from tests.hilcell.commands.workplace import read_corrected
 from tests.hilcell.fit.chains import chain_forward
@@ -150,7 +150,7 @@ def test_corrected_joints_bring_the_tool_to_its_targets(
 ) -> None:
     targets, out = tmp_path / "t.csv", tmp_path / "c.csv"
     joints = drawn(2, len(NAMES))
-    write_list(targets, JOINT_HEADER, joint_rows(NAMES, joints))
+    write_list(targets, joint_header(urdf), joint_rows(urdf, NAMES, joints))
     done = fit(folder, "--correct", targets, "--tool", "SMR1", "-o", out)
     found = json.loads(done.stdout)["corrected"]
     poses = chain_forward(urdf.chain, joints) @ tool_of(found)
@@ -226,7 +226,8 @@ def test_undetermined_targets_are_named(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("hilcell.programs.pose_correction.UNDETERMINED_MM", 1e-6)
-    write_list(tmp_path / "t.csv", JOINT_HEADER, joint_rows(["a", "b"], drawn(2, 2)))
+    rows = joint_rows(IRB120, ["a", "b"], drawn(2, 2))
+    write_list(tmp_path / "t.csv", joint_header(IRB120), rows)
     words = ("--correct", tmp_path / "t.csv", "--tool", "SMR1", "-o", tmp_path / "c.csv")
     assert "1e-06 mm: a, b" in refused(folder, *words)
     assert not (tmp_path / "c.csv").exists()

@@ -8,27 +8,22 @@ import pytest
 
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.targets import write_rows
+from hilcell.fit.robot_file import Robot
 from hilcell.geometry.frames import pose_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import forward
 from hilcell.ports import HilcellError
-from hilcell.programs.pose_correction import (
-    JOINT_HEADER,
-    Reach,
-    joint_rows,
-    read_list,
-    with_tool_point,
-)
+from hilcell.programs.pose_correction import Reach, joint_header, joint_rows, read_list, shifted
 from tests.hilcell.identification.robots import ARM, MIDDLE_RAD
 from tests.hilcell.lists import write_targets
 
 BASE = pose_from_zyx(100, -200, 300, 20, 5, -5)
-ANYWHERE = np.array([[-np.inf] * 6, [np.inf] * 6])
 
 
 def reach(spread_rad: float = 0.5) -> Reach:
     rng = np.random.default_rng(1)
     known = MIDDLE_RAD + rng.uniform(-spread_rad, spread_rad, (50, 6))
-    return Reach(with_tool_point(ARM, np.array([100.0, 20.0, 150.0])), BASE, known, ANYWHERE)
+    tool = pose_from_zyx(100.0, 20.0, 150.0, 0.0, 0.0, 0.0)
+    return Reach(Robot("arm", ARM, BASE, tool), known)
 
 
 def joints(count: int) -> np.ndarray:
@@ -37,9 +32,9 @@ def joints(count: int) -> np.ndarray:
 
 def test_the_tool_point_is_where_the_tool_frame_says() -> None:
     tool = pose_from_zyx(1, 2, 3, 90, 0, 0)
-    arm = with_tool_point(replace(ARM, tool=tool), np.array([10.0, 0.0, 5.0]))
-    np.testing.assert_allclose(arm.tool[:3, 3], [1, 12, 8], atol=1e-12)
-    np.testing.assert_array_equal(arm.tool[:3, :3], tool[:3, :3])
+    found = shifted(tool, np.array([10.0, 0.0, 5.0]))
+    np.testing.assert_allclose(found[:3, 3], [1, 12, 8], atol=1e-12)
+    np.testing.assert_array_equal(found[:3, :3], tool[:3, :3])
 
 
 def test_a_pose_takes_the_posture_of_the_nearest_measured_one() -> None:
@@ -101,7 +96,8 @@ def test_poses_are_read_and_written(tmp_path: Path) -> None:
 
 
 def test_joints_are_read_and_written(tmp_path: Path) -> None:
-    write_rows(tmp_path / "t.csv", JOINT_HEADER, joint_rows(list("abc"), joints(3)))
+    robot = reach().robot
+    write_rows(tmp_path / "t.csv", joint_header(robot), joint_rows(robot, list("abc"), joints(3)))
     names, found, joints_rad, as_joints = read_list(tmp_path / "t.csv", reach())
     assert (names, as_joints) == (list("abc"), True)
     np.testing.assert_allclose(joints_rad, joints(3), atol=1e-8)
