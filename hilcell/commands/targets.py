@@ -241,7 +241,8 @@ def _print_fit(result: FitResult) -> None:
     )
     print_data(result["reason"])
     for reason in sorted(set(result["refused"].values())):
-        print_message(f"no robot is identified: {reason}")
+        names = [name for name, why in result["refused"].items() if why == reason]
+        print_message(f"left out: {', '.join(names)}: {reason}")
     outliers = (
         f"outlier: pose {bad['pose']} target {bad['target']} is off by {bad['miss_mm']:.4g} mm and "
         "excluded"

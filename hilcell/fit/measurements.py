@@ -33,9 +33,9 @@ class Measurements:
     """N measured targets: labels, joints (N, n) in rad, positions (N, 3) in the tracker's frame.
 
     Values of prismatic joints are m. Messages name the rows by ``source``, a file, and by their
-    ``lines`` (N) in it. ``u_mm`` (N, 3): standard uncertainties; ``R`` (N, 3, 3): orientations of
-    the measured body in the tracker's frame, NaN where not measured, with ``u_rad`` (N,), NaN where
-    unknown.
+    ``lines`` (N) in it. ``covariance_mm2`` (N, 3, 3): of the positions, where known; ``R``
+    (N, 3, 3): orientations of the measured body in the tracker's frame, NaN where not measured, and
+    ``u_rad`` (N,) their standard uncertainties, where known.
     """
 
     pose: list[str]
@@ -44,7 +44,7 @@ class Measurements:
     xyz_mm: Array
     source: str = "the measurements"
     lines: Sequence[int] = ()
-    u_mm: Array | None = None
+    covariance_mm2: Array | None = None
     R: Array | None = None
     u_rad: Array | None = None
 
@@ -113,9 +113,25 @@ class Measurements:
             self.xyz_mm[chosen],
             self.source,
             [self.lines[n] for n in chosen] if self.lines else (),
-            None if self.u_mm is None else self.u_mm[chosen],
+            None if self.covariance_mm2 is None else self.covariance_mm2[chosen],
             None if self.R is None else self.R[chosen],
             None if self.u_rad is None else self.u_rad[chosen],
+        )
+
+    def joined(self, others: Measurements) -> Measurements:
+        """These rows and others, without their orientations."""
+        if not len(others):
+            return self
+        covariances_mm2 = [
+            np.zeros((len(each), 3, 3)) if each.covariance_mm2 is None else each.covariance_mm2
+            for each in (self, others)
+        ]
+        return Measurements(
+            [*self.pose, *others.pose],
+            [*self.target, *others.target],
+            np.concatenate([self.joints_rad, others.joints_rad]),
+            np.concatenate([self.xyz_mm, others.xyz_mm]),
+            covariance_mm2=np.concatenate(covariances_mm2),
         )
 
     @property
@@ -279,9 +295,9 @@ def _measurements(rows: list[_Row], columns: Columns, source: str) -> Measuremen
         np.array([row.xyz_mm for row in rows]),
         source,
         [row.line for row in rows],
-        u_mm=None if np.isnan(u_mm).any() else u_mm,
+        covariance_mm2=None if np.isnan(u_mm).any() else u_mm[:, :, None] ** 2 * np.eye(3),
         R=R,
-        u_rad=None if R is None else np.array([row.u_rad for row in rows]),
+        u_rad=np.array([row.u_rad for row in rows]) if "u_turn" in columns.own else None,
     )
 
 

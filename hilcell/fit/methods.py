@@ -16,9 +16,11 @@ from typing import NamedTuple, Self, TypedDict
 
 import numpy as np
 
+from hilcell.compensation.interpolation import Idw
 from hilcell.compensation.model import LearntModel, Measured, StaticPoses
 from hilcell.compensation.model_choice import MODELS, NOMINAL, choose, listed
 from hilcell.fit.measurements import Measurements
+from hilcell.fit.orientations import mounted, points_of, scatter_rad
 from hilcell.fit.placement import (
     FitError,
     Placement,
@@ -27,12 +29,14 @@ from hilcell.fit.placement import (
     refuse_unknown_targets,
 )
 from hilcell.fit.refusals import (
+    rare_target,
     refuse_absurd,
     refuse_contradicting,
     refuse_few_poses,
     refuse_many,
     refuse_undetermined,
 )
+from hilcell.fit.repeats import averaged
 from hilcell.fit.robot_file import Robot
 from hilcell.geometry import statistics
 from hilcell.geometry.kinematics import Arm, Array, Bools, Ints
@@ -50,6 +54,7 @@ from hilcell.identification.measured_poses import (
     FOLDS,
     IdentificationError,
     ManyContradict,
+    Noise,
     Readings,
     count_poses,
     places_of,
@@ -192,7 +197,10 @@ class Poses:
         joints_rad[at[:, 0]] = rows.joints_rad
         xyz_mm: Array = np.full((len(numbers), len(targets), 3), np.nan)
         xyz_mm[at[:, 0], at[:, 1]] = rows.xyz_mm
-        return cls(Readings(joints_rad, xyz_mm, np.zeros((*xyz_mm.shape, 3))), at)
+        covariance_mm2 = np.zeros((*xyz_mm.shape, 3))
+        if rows.covariance_mm2 is not None:
+            covariance_mm2[at[:, 0], at[:, 1]] = rows.covariance_mm2
+        return cls(Readings(joints_rad, xyz_mm, covariance_mm2), at)
 
     def by_row(self, values: Array) -> Array:
         return values[self.at[:, 0], self.at[:, 1]]
@@ -213,6 +221,8 @@ class FittedArm:
     ) -> Self:
         """The robot identified by one of `TERMS`; rows not ``trusted`` may be outliers. Raises
         `IdentificationError`, also for less than `LEAST_POSES` different poses.
+
+        Behind the reflectors are the points of orientations, in the order of names, x's first.
         """
         different = count_poses(rows.joints_rad)
         if different < LEAST_POSES:
@@ -220,15 +230,37 @@ class FittedArm:
                 f"kinematics: {counted(different, 'pose')} of different joints, expected at least "
                 f"{LEAST_POSES}; measure more"
             )
+        points, places_mm = mounted(placement, rows)
+        places_mm |= placement.smr_mm
+        arm = cls._identified(placement, rows.joined(points), places_mm, method, trusted)
+        if len(points) and rows.u_rad is None:
+            points = points_of(rows, scatter_rad(arm.missed_mm[len(rows) :]))
+            arm = cls._identified(placement, rows.joined(points), places_mm, method, trusted)
+        return replace(arm, poses=replace(arm.poses, at=arm.poses.at[: len(rows)]))
+
+    @classmethod
+    def _identified(
+        cls, placement: Placement, rows: Measurements, places_mm: Mapping[str, Array], method: str,
+        trusted: bool,
+    ) -> Self:  # fmt: skip
+        """The robot by rows of reflectors and of other points on the flange, behind them."""
         targets = sorted(placement.smr_mm)
+        names = [*targets, *sorted({*places_mm} - {*targets})]
         elastic, tool = TERMS[method]
         kinematics = Kinematics(
-            placement.arm, len(targets), gravity=elastic, waves=elastic, tool=tool
+            placement.arm, len(names), gravity=elastic, waves=elastic, tool=tool
         )
-        smr_mm = np.array([placement.smr_mm[target] for target in targets])
-        poses, start = Poses.of(rows, targets), kinematics.start(placement.T_L_B, smr_mm)
+        start = kinematics.start(placement.T_L_B, np.array([places_mm[each] for each in names]))
         by = identify_trusted if trusted else identify
-        return cls(by(kinematics, poses.readings, start), poses, targets)
+        noise = Noise.of_poses(len(targets), len(placement.arm))
+        poses = Poses.of(rows, names)
+        return cls(by(kinematics, poses.readings, start, noise), poses, targets)
+
+    @property
+    def missed_mm(self) -> Array:
+        """Measured minus predicted (N, 3) of the rows learnt from."""
+        readings = self.poses.readings
+        return self.poses.by_row(readings.xyz_mm - self.estimate.predict(readings.joints_rad)[0])
 
     def with_residual(self) -> Self:
         return replace(self, residual=with_residual(self.estimate))
@@ -239,7 +271,7 @@ class FittedArm:
 
     @property
     def smr_mm(self) -> Mapping[str, Array]:
-        return dict(zip(self.targets, self.estimate.state.smr_mm, strict=True))
+        return dict(zip(self.targets, self.estimate.state.smr_mm, strict=False))
 
     @property
     def freedom(self) -> float:
@@ -303,6 +335,8 @@ class Predicted(NamedTuple):
     def by(cls, method: Method, rows: Measurements) -> Self:
         """Positions of the rows' reflectors by a method; raises `FitError`."""
         at_mm, covariance_mm2 = method.predict(rows)
+        if rows.covariance_mm2 is not None:
+            covariance_mm2 += rows.covariance_mm2
         return cls(at_mm, covariance_mm2, statistics.bounds95_mm(covariance_mm2, method.freedom))
 
 
@@ -349,18 +383,24 @@ def fit_robot(robot: Robot, train: Measurements, test: Measurements | None = Non
     arm = robot.arm
     refuse_few_poses(train)
     placement = place(arm, train)  # in the file's order: a refusal may name a shift in it
+    train = averaged(placement, train)
     order = _order(train)
     rows = train.at(order)
     bad, refused = _contradicting(placement, rows)
     kept = rows.at(np.flatnonzero(~bad))
     refuse_few_poses(kept, int(bad.sum()))
-    placement = place(arm, kept)
-    arms, left_out = ({}, {}) if refused else _arms(placement, kept, refused)
-    left_out = cross_validate(arm, kept) | left_out
+    placement, elsewhere = place(arm, kept), _elsewhere(kept)
+    arms, left_out = ({}, {}) if refused else _arms(placement, kept, refused, elsewhere)
+    models = scattered()
+    if rare := rare_target(kept):
+        refused[Idw.name] = rare
+        del models[Idw.name]
+    left_out = cross_validate(arm, kept, models) | left_out
+    left_out = {name: miss_mm[elsewhere] for name, miss_mm in left_out.items()}
     validated = {name: figures_of(miss) for name, miss in left_out.items()}
     chosen = choose(validated, WEIGHTS)
     methods: dict[str, Method] = {
-        name: AtPoints.learn(placement, kept, model) for name, model in scattered().items()
+        name: AtPoints.learn(placement, kept, model) for name, model in models.items()
     }
     methods |= arms
     judged, coverage, reason = validated, dict[str, Coverage](), ""
@@ -390,7 +430,7 @@ def fit_robot(robot: Robot, train: Measurements, test: Measurements | None = Non
         "coverage95": coverage[chosen]["share"] if coverage else None,
         "model": None if best is None else arms[best].found(best),
         "train": len(kept),
-        "test": len(kept if test is None else test),
+        "test": int(elsewhere.sum()) if test is None else len(test),
         "seconds": time.perf_counter() - start_s,
     }
     return RobotFit(robot, train, result, methods, validated)
@@ -401,22 +441,33 @@ def scattered() -> dict[str, type[LearntModel]]:
     return {name: model for name, model in MODELS.items() if model.scattered}
 
 
-def cross_validate(arm: Arm, rows: Measurements) -> dict[str, Array]:
-    """Measured minus predicted (N, 3) by each of `scattered`, a fifth of the poses left out."""
-    fold = pose_folds(rows.joints_rad)
-    miss_mm = {name: np.empty((len(rows), 3)) for name in scattered()}
+def cross_validate(
+    arm: Arm, rows: Measurements, models: Mapping[str, type[LearntModel]]
+) -> dict[str, Array]:
+    """Measured minus predicted (N, 3) by each model, a fifth of the poses left out; NaN for
+    reflectors that no other fifth shows.
+    """
+    fold, elsewhere = pose_folds(rows.joints_rad), _elsewhere(rows)
+    miss_mm = {name: np.full((len(rows), 3), np.nan) for name in models}
     for left_out in range(FOLDS):
         known = rows.at(np.flatnonzero(fold != left_out))
-        asked = rows.at(np.flatnonzero(fold == left_out))
-        placement = place(arm, known)
+        own = np.flatnonzero((fold == left_out) & elsewhere)
+        asked, placement = rows.at(own), place(arm, known)
         for name, miss in miss_mm.items():
-            found_mm = AtPoints.learn(placement, known, MODELS[name]).predict(asked)[0]
-            miss[fold == left_out] = asked.xyz_mm - found_mm
+            found_mm = AtPoints.learn(placement, known, models[name]).predict(asked)[0]
+            miss[own] = asked.xyz_mm - found_mm
     return miss_mm
 
 
+def _elsewhere(rows: Measurements) -> Bools:
+    """Rows (N,) whose reflector other fifths of the poses show too."""
+    fold = pose_folds(rows.joints_rad)
+    seen = {target: len(np.unique(fold[rows.of(target)])) for target in set(rows.target)}
+    return np.array([seen[target] > 1 for target in rows.target])
+
+
 def _arms(
-    placement: Placement, rows: Measurements, refused: dict[str, str]
+    placement: Placement, rows: Measurements, refused: dict[str, str], elsewhere: Bools
 ) -> tuple[dict[str, FittedArm], dict[str, Array]]:
     fold, arms = pose_folds(rows.joints_rad), {}
     for name in TERMS:
@@ -427,7 +478,7 @@ def _arms(
     miss_mm = {name: arm.left_out_mm(fold) for name, arm in arms.items()}
     if not arms:
         return arms, miss_mm
-    best = min(arms, key=lambda name: figures_of(miss_mm[name]).mean)
+    best = min(arms, key=lambda name: figures_of(miss_mm[name][elsewhere]).mean)
     arms[RESIDUAL] = arms[best].with_residual()
     miss_mm[RESIDUAL] = arms[RESIDUAL].left_out_mm(fold)
     return arms, miss_mm

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -20,21 +21,31 @@ LEAST_INSIDE = 0.5  # share of test rows within 95 % bounds; below, they are not
 
 def refuse_few_poses(rows: Measurements, left_out: int = 0) -> None:
     """Refuse too few poses for cross-validation; ``left_out``: outliers."""
+    if few := _few_poses(rows, range(len(rows)), left_out):
+        raise FitError(rare_target(rows, left_out) or few)
+
+
+def rare_target(rows: Measurements, left_out: int = 0) -> str:
+    """Why there are too few poses to interpolate each target's errors, or ""."""
+    targets = (target for target, _ in reversed(Counter(rows.target).most_common()))
+    return next(filter(None, (_few_poses(rows, rows.of(each), left_out) for each in targets)), "")
+
+
+def _few_poses(rows: Measurements, own: Sequence[int], left_out: int) -> str:
     pose, fold = pose_numbers(rows.joints_rad), pose_folds(rows.joints_rad)
-    for target, _ in reversed(Counter(rows.target).most_common()):
-        own = rows.of(target)
-        count = len(np.unique(pose[own]))
-        others = min(len(np.unique(pose[own][fold[own] != each])) for each in range(FOLDS))
-        if others < NEIGHBOURS:
-            least = -(-NEIGHBOURS * FOLDS // (FOLDS - 1))  # of which a fifth is left out
-            expected = max(least, count + NEIGHBOURS - others)
-            struck = f" (and {counted(left_out, 'row')} contradict the others)" if left_out else ""
-            name = "correct its name, or " if len(set(rows.target)) > 1 else ""
-            raise FitError(
-                f"{rows.where(own)}: target {target} is measured in {counted(count, 'pose')}"
-                f"{struck}, expected at least {expected} of different joints, a fifth of which "
-                f"cross-validation leaves out; {name}measure it in more poses"
-            )
+    count = len(np.unique(pose[own]))
+    others = min(len(np.unique(pose[own][fold[own] != each])) for each in range(FOLDS))
+    if others >= NEIGHBOURS:
+        return ""
+    least = -(-NEIGHBOURS * FOLDS // (FOLDS - 1))  # of which a fifth is left out
+    expected = max(least, count + NEIGHBOURS - others)
+    struck = f" (and {counted(left_out, 'row')} contradict the others)" if left_out else ""
+    name = "correct its name, or " if len(set(rows.target)) > 1 else ""
+    return (
+        f"{rows.where(own)}: target {rows.target[own[0]]} is measured in {counted(count, 'pose')}"
+        f"{struck}, expected at least {expected} of different joints, a fifth of which "
+        f"cross-validation leaves out; {name}measure it in more poses"
+    )
 
 
 def refuse_absurd(arm: Arm, rows: Measurements, miss_mm: Array) -> None:

@@ -200,24 +200,29 @@ def _robust(kinematics: Kinematics, readings: Readings, state: State) -> tuple[S
     """A state that is robust against outliers, and these (M, K)."""
     scale_mm, least_scale_mm = 0.5, 0.005
     known = readings.known
+    own_mm2 = np.where(known[..., None, None], readings.covariance_mm2, 0.0)
+    variance_mm2 = np.einsum("mkii->mk", own_mm2) / 3.0
     lengths_mm = np.zeros(known.shape)
     linearised = kinematics.linearised(state, readings.joints_rad)
     cauchy = 2.5  # scales from which on a reading's pull fades
     median_length = 1.5382  # of a 3-D normal vector of unit variance
     for _ in range(12):
-        excess = scale_mm**2 * (lengths_mm / (cauchy * scale_mm)) ** 2
-        covariance_mm2 = readings.covariance_mm2 + excess[..., None, None] * np.eye(3)
+        fading = (lengths_mm / (cauchy * scale_mm)) ** 2
+        covariance_mm2 = own_mm2 + fading[..., None, None] * (own_mm2 + scale_mm**2 * np.eye(3))
         weighted = replace(readings, covariance_mm2=covariance_mm2)
         noise = Noise.independent(scale_mm, len(kinematics.arm))
         system = System.of(kinematics, state, weighted, noise, linearised)
         state = kinematics.moved(state, system.step)
         linearised = kinematics.linearised(state, readings.joints_rad)
-        missed = readings.xyz_mm - linearised.positions_mm
-        lengths_mm = np.linalg.norm(np.where(known[..., None], missed, 0.0), axis=-1)
-        spent = float(np.sum(1.0 - np.einsum("mii->mi", system.precision * system.noise_mm2)))
-        rows = 3 * np.count_nonzero(known)
-        share = max(1.0 - spent / rows, 0.1)
-        middle_mm = float(np.median(lengths_mm[known]))
+        missed = np.where(known[..., None], readings.xyz_mm - linearised.positions_mm, 0.0)
+        root = np.linalg.cholesky(own_mm2 + scale_mm**2 * np.eye(3))
+        whitened = np.linalg.solve(root, missed[..., None])[..., 0]
+        lengths_mm = scale_mm * np.linalg.norm(whitened, axis=-1)
+        # Of the most precise readings: others' own covariance hides the scale.
+        own = known & (variance_mm2 <= variance_mm2[known].min() + scale_mm**2)
+        left = np.einsum("mij,mij->mi", system.precision, system.noise_mm2)
+        share = max(float(np.mean(left[np.repeat(own, 3, axis=1)])), 0.1)
+        middle_mm = float(np.median(lengths_mm[own]))
         scale_mm = max(middle_mm / median_length / share**0.5, least_scale_mm)
     return state, lengths_mm > GROSS * scale_mm
 

@@ -132,10 +132,6 @@ def at_one_place(lines: list[str]) -> list[str]:
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
-        (lambda lines: mistyped(lines, 5),
-         "train.csv line 5: target SMR2 is measured in 1 pose"),
-        (lambda lines: mistyped(lines, 5, 10, 14),
-         "train.csv lines 5, 10, 14: target SMR2 is measured in 3 poses"),
         (at_one_place, "train.csv: measured positions: .*one place"),
         (lambda lines: lines[:4],
          "train.csv lines 2, 3, 4: target SMR1 is measured in 3 poses, expected at least 10"),
@@ -152,6 +148,24 @@ def test_rows_that_no_robot_can_be_fitted_to_are_named(
     done = fit(folder, "robot.toml")
     assert done.returncode == 2
     assert re.search(said, done.stderr)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "where"),
+    [((5,), "line 5: target SMR2 is measured in 1 pose"),
+     ((5, 10, 14), "lines 5, 10, 14: target SMR2 is measured in 3 poses")],
+)  # fmt: skip
+def test_a_reflector_of_few_poses_leaves_out_what_cannot_be_learnt(
+    folder: Path, numbers: tuple[int, ...], where: str
+) -> None:
+    lines = mistyped((folder / "train.csv").read_text().splitlines(), *numbers)
+    (folder / "train.csv").write_text("\n".join(lines) + "\n")
+    done = fit(folder, "robot.toml", "--json")
+    result = json.loads(done.stdout)
+    assert set(result["methods"]) == {"nominal", "mdh", "elastic", "tool", "gp"}
+    assert result["methods"][result["chosen"]]["max_mm"] < 0.5
+    assert where in result["refused"]["idw"]
+    assert where in fit(folder, "robot.toml").stderr
 
 
 def test_a_test_row_of_an_unknown_reflector_is_named_with_its_line(folder: Path) -> None:

@@ -258,8 +258,10 @@ def test_weights_by_row_coordinate_and_group(tmp_path: Path) -> None:
     def u_mm(names: str, cells: str, table: Table = TABLE) -> np.ndarray:
         rows = [[*line, *cells.split(",")] for line in table[1:]]
         found = read(tmp_path / "a.csv", text_of([[*table[0], *names.split(",")], *rows]))
-        assert found.u_mm is not None
-        return found.u_mm[:2]
+        assert found.covariance_mm2 is not None
+        u_mm = np.sqrt(np.diagonal(found.covariance_mm2, axis1=1, axis2=2))
+        np.testing.assert_allclose(found.covariance_mm2, u_mm[:, :, None] ** 2 * np.eye(3))
+        return np.asarray(u_mm[:2])
 
     np.testing.assert_allclose(u_mm("u_mm", "0.02"), 0.02)
     np.testing.assert_allclose(u_mm("u [\u00b5m]", "20"), 0.02)

@@ -17,12 +17,12 @@ from scipy.spatial.transform import Rotation
 
 from hilcell.compensation.interpolation import Idw
 from hilcell.fit.measurements import Measurements, read_measurements
-from hilcell.fit.methods import AtPoints, cross_validate, fit_robot
+from hilcell.fit.methods import AtPoints, cross_validate, fit_robot, scattered
 from hilcell.fit.placement import FitError, place
 from hilcell.fit.robot_file import Robot, RobotModel, Row, read_dh
 from hilcell.geometry.frames import apply, pose_from_zyx
 from hilcell.geometry.inverse import inverse_kinematics
-from hilcell.geometry.kinematics import forward
+from hilcell.geometry.kinematics import Arm, forward
 
 HEADER = ["pose", "target", *(f"j{n}_deg" for n in range(1, 7)), "x_mm", "y_mm", "z_mm"]
 NEARBY = Path(__file__).parents[4] / "shared" / "data"
@@ -76,16 +76,20 @@ class Pair:
     wanted: dict[str, Figures]
 
 
-def measured(seed: int, poses: int, targets: list[str], error: float = 1.0) -> Measurements:
-    """Rows of a robot with errors of about 1 mm, and 0.02 mm of noise."""
-    rng, crooked = np.random.default_rng(seed), np.random.default_rng(99)
-    nominal = IRB120.arm
-    true = replace(
+def crooked_arm(error: float = 1.0) -> Arm:
+    """The arm with errors of about 1 mm."""
+    crooked, nominal = np.random.default_rng(99), IRB120.arm
+    return replace(
         nominal,
         a_mm=nominal.a_mm + error * crooked.normal(0, 0.2, 6),
         offset_rad=nominal.offset_rad + error * crooked.normal(0, 1e-3, 6),
         alpha_rad=nominal.alpha_rad + error * crooked.normal(0, 5e-4, 6),
     )
+
+
+def measured(seed: int, poses: int, targets: list[str], error: float = 1.0) -> Measurements:
+    """Rows of a robot with errors of about 1 mm, and 0.02 mm of noise."""
+    rng, true = np.random.default_rng(seed), crooked_arm(error)
     joints = np.repeat(rng.uniform(-0.8, 0.8, (poses, 6)), len(targets), axis=0)
     names = targets * poses
     flange = forward(true, joints)
@@ -191,7 +195,7 @@ def test_a_repeated_row_is_left_out_with_its_pose() -> None:
     rows = measured(3, 40, ["SMR1"], error=0.0)
     rows.xyz_mm[10] += [0.0, 0.0, 5.0]
     twice = rows.at(np.repeat(np.arange(len(rows)), 2))
-    miss = np.linalg.norm(cross_validate(IRB120.arm, twice)["idw"], axis=1)
+    miss = np.linalg.norm(cross_validate(IRB120.arm, twice, scattered())["idw"], axis=1)
     np.testing.assert_allclose(miss[20:22], 5.0, atol=0.5)
 
 
@@ -349,15 +353,7 @@ def test_reflectors_swapped_in_the_test_set_are_named() -> None:
 def measured_at(joints: np.ndarray, rows: Measurements) -> Measurements:
     """The crooked robot of `measured` at other joints."""
     source = measured(1, len(rows), ["SMR1"], error=0.0)
-    crooked = np.random.default_rng(99)
-    nominal = IRB120.arm
-    true = replace(
-        nominal,
-        a_mm=nominal.a_mm + crooked.normal(0, 0.2, 6),
-        offset_rad=nominal.offset_rad + crooked.normal(0, 1e-3, 6),
-        alpha_rad=nominal.alpha_rad + crooked.normal(0, 5e-4, 6),
-    )
-    flange = forward(true, joints)
+    flange = forward(crooked_arm(), joints)
     at_mm = flange[:, :3, 3] + flange[:, :3, :3] @ SMR_MM["SMR1"]
     noise_mm = 0.02 * np.random.default_rng(5).standard_normal(at_mm.shape)
     return replace(source, joints_rad=joints, xyz_mm=apply(T_L_B, at_mm) + noise_mm)

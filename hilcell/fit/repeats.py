@@ -1,0 +1,71 @@
+"""Readings of one pose, repeated: their mean counts as one reading.
+
+They share what no model describes of the pose, however often it is measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hilcell.fit.measurements import Measurements
+from hilcell.fit.placement import Placement
+from hilcell.geometry.kinematics import Array
+from hilcell.geometry.statistics import lengths_mm
+from hilcell.identification.measured_poses import pose_numbers
+
+
+def averaged(placement: Placement, rows: Measurements) -> Measurements:
+    """One row a pose and reflector, at the joints of the pose's first row.
+
+    Means are of differences from nominal positions, as the joints differ a little, and are weighted
+    by the inverse covariances, where known.
+    """
+    pose = pose_numbers(rows.joints_rad).tolist()
+    groups: dict[tuple[int, str], list[int]] = {}
+    for n, key in enumerate(zip(pose, rows.target, strict=True)):
+        groups.setdefault(key, []).append(n)
+    if len(groups) == len(rows):
+        return rows
+    of_pose = {number: n for n, number in reversed([*enumerate(pose)])}
+    first = [of_pose[number] for number, _ in groups]
+    mean = replace(
+        rows.at(own[0] for own in groups.values()),
+        pose=[rows.pose[n] for n in first],
+        joints_rad=rows.joints_rad[first],
+    )
+    missed_mm, errors_mm = rows.xyz_mm - placement.predicted_mm(rows), np.empty((len(mean), 3))
+    precision, covariances_mm2 = np.broadcast_to(np.eye(3), (len(rows), 3, 3)), mean.covariance_mm2
+    if rows.covariance_mm2 is not None:
+        precision = np.linalg.inv(rows.covariance_mm2)
+    for n, repeated in enumerate(groups.values()):
+        own = _agreeing(repeated, missed_mm)
+        together = precision[own].sum(axis=0)
+        errors_mm[n] = np.linalg.solve(
+            together, np.einsum("nij,nj->i", precision[own], missed_mm[own])
+        )
+        if covariances_mm2 is not None:
+            covariances_mm2[n] = np.linalg.inv(together)
+        if mean.R is not None and rows.R is not None:
+            mean.R[n] = _middle(rows.R[own])
+        if mean.u_rad is not None and rows.u_rad is not None:
+            mean.u_rad[n] = np.sum(rows.u_rad[own] ** -2.0) ** -0.5
+    return replace(mean, xyz_mm=placement.predicted_mm(mean) + errors_mm)
+
+
+def _agreeing(own: list[int], missed_mm: Array) -> list[int]:
+    """The rows of a pose without those far from most others."""
+    far = 5.0  # in median distances
+    away_mm = lengths_mm(missed_mm[own] - np.median(missed_mm[own], axis=0))
+    return [n for n, each in zip(own, away_mm, strict=True) if each <= far * np.median(away_mm)]
+
+
+def _middle(R: Array) -> Array:
+    """The mean (3, 3) of rotations (N, 3, 3), NaN where none is known."""
+    known = R[np.isfinite(R).all(axis=(1, 2))]
+    if not len(known):
+        return np.full((3, 3), np.nan)
+    U, _, V = np.linalg.svd(known.sum(axis=0))
+    middle: Array = U @ V
+    return middle
