@@ -21,6 +21,7 @@ from hilcell.fit.measurements import Measurements, read_measurements
 from hilcell.fit.methods import FitResult, FittedArm, RobotFit, fit_robot, in_mm, methods_table
 from hilcell.fit.robot_file import Robot
 from hilcell.fit.urdf_file import URDF, read_robot
+from hilcell.geometry.statistics import LEAST_BOUNDED
 from hilcell.present.table import Table, listed
 from hilcell.programs.corrected import UsableCalibration
 from hilcell.programs.holes import read_holes
@@ -190,7 +191,7 @@ def fit(args: Fit) -> int:
         covariance: dict[str, object] = {}
         arm = fitted.methods[fitted.result["model"]["method"]] if fitted.result["model"] else None
         if isinstance(arm, FittedArm):  # in the order of the parameters' names in ``model``
-            covariance["covariance"] = arm.estimate.system.covariance.tolist()
+            covariance["covariance"] = arm.found.covariance.tolist()
         print_json({**fitted.result, **covariance, **more})
     else:
         _print_fit(fitted.result)
@@ -253,6 +254,10 @@ def _print_fit(result: FitResult) -> None:
     if inside := result["coverage"].get(result["chosen"]):
         print_data(
             f"{inside['share']:.1%} of them within 95 % bounds, mean {inside['bound_mm']:.3f} mm"
+        )
+    elif result["train"] < LEAST_BOUNDED:
+        print_message(
+            f"no 95 % bound: {result['train']} training rows, expected at least {LEAST_BOUNDED}"
         )
 
 

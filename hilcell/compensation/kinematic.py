@@ -150,7 +150,7 @@ class Kinematic(LearntModel):
         """Return the robot identified from poses and curves; raises `IdentificationError`."""
         arm = _arm(measured)
         estimate, decision = _identified(arm)
-        known = observability(estimate.system)
+        known = observability(estimate.kinematics, estimate.covariance)
         excess = _excess(estimate)
         return cls(
             arm.robot,
@@ -379,7 +379,7 @@ def _left_out_mm(estimate: Estimate) -> Array:
     count = 5  # each fifth pose is predicted by the others
     fold = np.arange(len(estimate.readings)) % count
     folds = [np.flatnonzero(fold == each).astype(np.int_) for each in range(count)]
-    return estimate.system.left_out_mm(folds)[:, 0][~estimate.outliers[:, 0]]
+    return estimate.system.left_out(folds)[0][:, 0][~estimate.outliers[:, 0]]
 
 
 def _frame(name: str, rows: list[list[float]]) -> Array:

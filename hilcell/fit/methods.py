@@ -48,7 +48,7 @@ from hilcell.identification.estimate import (
     identify_trusted,
     observability,
 )
-from hilcell.identification.joint_error import WithResidual, with_residual
+from hilcell.identification.joint_error import WithJointErrors, with_joint_errors
 from hilcell.identification.kinematics import Kinematics
 from hilcell.identification.measured_poses import (
     FOLDS,
@@ -88,6 +88,31 @@ class Coverage(TypedDict):
     bound_mm: float
 
 
+class LeftOut(NamedTuple):
+    """Rows predicted without those of their fold: measured minus predicted (N, 3), and its
+    covariance (N, 3, 3). NaN for rows that were not learnt from.
+    """
+
+    miss_mm: Array
+    covariance_mm2: Array
+
+    def at(self, rows: Bools) -> LeftOut:
+        """Return some of the rows, as far as they were learnt from."""
+        known = rows & np.isfinite(self.miss_mm).all(axis=1)
+        return LeftOut(self.miss_mm[known], self.covariance_mm2[known])
+
+    @property
+    def figures(self) -> Figures:
+        return figures_of(self.miss_mm)
+
+    @property
+    def doubt(self) -> float:
+        """Factor, at least 1, by which the bounds of these rows understate."""
+        bounds_mm = statistics.bounds95_mm(self.covariance_mm2)
+        scores = statistics.lengths_mm(self.miss_mm) / bounds_mm
+        return max(1.0, statistics.conformal_factor(scores))
+
+
 class IdentifiedModel(TypedDict):
     """The identified robot: value, standard deviation, and the latter over the prior's, by
     parameter.
@@ -112,8 +137,8 @@ class FitResult(TypedDict):
     """Output of ``fit --json``; ``train`` and ``test`` count the rows learnt from and judged.
 
     ``methods``: distances of predicted from measured positions; ``refused``: why others could not
-    learn; ``coverage``: empty without test rows; ``coverage95``: that of the chosen method, or
-    None; ``model``: None where no robot was identified.
+    learn; ``coverage``: of methods with bounds, empty without test rows; ``coverage95``: that of
+    the chosen method, or None; ``model``: None where no robot was identified.
     """
 
     methods: dict[str, dict[str, float]]
@@ -133,13 +158,13 @@ class FitResult(TypedDict):
 class AtPoints:
     """Nominal positions and predicted errors there, by reflector.
 
-    ``freedom``: degrees of freedom of the covariances' estimate. Each reflector has its own model:
-    nominal poses in {B}, errors with the tracker's axes.
+    Each reflector has its own model: nominal poses in {B}, errors with the tracker's axes.
+    ``doubt``: factor of the standard deviations that the models understate.
     """
 
     placement: Placement
     models: Mapping[str, LearntModel]
-    freedom: float
+    doubt: float = 1.0
 
     @classmethod
     def learn(cls, placement: Placement, rows: Measurements, model: type[LearntModel]) -> Self:
@@ -149,7 +174,7 @@ class AtPoints:
         models = {}
         for target in placement.smr_mm:
             models[target] = model.learn(Measured(poses.at(of_row == target)))
-        return cls(placement, models, 3.0 * len(rows))
+        return cls(placement, models)
 
     @property
     def base(self) -> Array:
@@ -171,7 +196,7 @@ class AtPoints:
             prediction = model.predict(poses[own])
             found_mm[own] += prediction.error_mm
             covariance_mm2[own] = prediction.covariance_mm2
-        return found_mm, covariance_mm2
+        return found_mm, self.doubt**2 * covariance_mm2
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,12 +233,16 @@ class Poses:
 
 @dataclass(frozen=True, eq=False)
 class FittedArm:
-    """An identified robot and the rows that it was learnt from."""
+    """An identified robot and the rows that it was learnt from.
+
+    ``doubt``: factor of the standard deviations that it understates.
+    """
 
     estimate: Estimate
     poses: Poses
     targets: list[str]
-    residual: WithResidual | None = None
+    joint_errors: WithJointErrors | None = None
+    doubt: float = 1.0
 
     @classmethod
     def learn(
@@ -262,22 +291,16 @@ class FittedArm:
         readings = self.poses.readings
         return self.poses.by_row(readings.xyz_mm - self.estimate.predict(readings.joints_rad)[0])
 
-    def with_residual(self) -> Self:
-        return replace(self, residual=with_residual(self.estimate))
+    def with_joint_errors(self) -> Self:
+        return replace(self, joint_errors=with_joint_errors(self.estimate))
 
     @property
     def base(self) -> Array:
-        return self.estimate.state.T
+        return self.found.state.T
 
     @property
     def smr_mm(self) -> Mapping[str, Array]:
-        return dict(zip(self.targets, self.estimate.state.smr_mm, strict=False))
-
-    @property
-    def freedom(self) -> float:
-        spent = observability(self.estimate.system).effective
-        least_freedom = 3.0  # one pose more than the parameters need
-        return max(3.0 * len(self.poses.readings) - spent, least_freedom)
+        return dict(zip(self.targets, self.found.state.smr_mm, strict=False))
 
     @property
     def outliers(self) -> Bools:
@@ -286,35 +309,35 @@ class FittedArm:
     def predict(self, rows: Measurements) -> tuple[Array, Array]:
         """Positions (N, 3) in the tracker's frame, and covariances (N, 3, 3) of readings there."""
         poses = Poses.of(rows, self.targets)
-        at_mm, covariance_mm2 = self._found.predict(poses.readings.joints_rad)
-        return poses.by_row(at_mm), poses.by_row(covariance_mm2)
+        at_mm, covariance_mm2 = self.found.predict(poses.readings.joints_rad)
+        return poses.by_row(at_mm), self.doubt**2 * poses.by_row(covariance_mm2)
 
-    def left_out_mm(self, fold: Ints) -> Array:
-        """Measured minus predicted (N, 3), each row predicted from the other folds (N,)."""
+    def left_out(self, fold: Ints) -> LeftOut:
+        """Each row as predicted from the other folds (N,)."""
         of_pose = np.empty(len(self.poses.readings), dtype=np.int_)
         of_pose[self.poses.at[:, 0]] = fold
         folds = [np.flatnonzero(of_pose == each).astype(np.int_) for each in np.unique(fold)]
-        return self.poses.by_row(self._found.left_out_mm(folds))
+        return LeftOut(*map(self.poses.by_row, self.found.left_out(folds)))
 
-    def found(self, name: str) -> IdentifiedModel:
-        estimate, known = self.estimate, observability(self.estimate.system)
-        kinematics, noise = estimate.kinematics, estimate.noise
+    def identified(self, name: str) -> IdentifiedModel:
+        found, kinematics = self.found, self.estimate.kinematics
+        known = observability(kinematics, found.covariance)
         return IdentifiedModel(
             method=name,
             names=kinematics.names,
-            values=kinematics.flat(estimate.state).tolist(),
-            sigma=np.sqrt(np.diag(estimate.system.covariance)).tolist(),
+            values=kinematics.flat(found.state).tolist(),
+            sigma=np.sqrt(np.diag(found.covariance)).tolist(),
             sigma_over_prior=known.ratio.tolist(),
-            reading_mm=noise.reading_mm,
-            pose_mm=noise.pose_mm,
-            joint_rad=noise.joint_rad.tolist(),
+            reading_mm=found.noise.reading_mm,
+            pose_mm=found.noise.pose_mm,
+            joint_rad=found.noise.joint_rad.tolist(),
             directions=known.directions,
             condition=known.condition,
         )
 
     @property
-    def _found(self) -> Estimate | WithResidual:
-        return self.residual or self.estimate
+    def found(self) -> Estimate | WithJointErrors:
+        return self.joint_errors or self.estimate
 
 
 Method = AtPoints | FittedArm
@@ -337,7 +360,7 @@ class Predicted(NamedTuple):
         at_mm, covariance_mm2 = method.predict(rows)
         if rows.covariance_mm2 is not None:
             covariance_mm2 += rows.covariance_mm2
-        return cls(at_mm, covariance_mm2, statistics.bounds95_mm(covariance_mm2, method.freedom))
+        return cls(at_mm, covariance_mm2, statistics.bounds95_mm(covariance_mm2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -390,31 +413,31 @@ def fit_robot(robot: Robot, train: Measurements, test: Measurements | None = Non
     kept = rows.at(np.flatnonzero(~bad))
     refuse_few_poses(kept, int(bad.sum()))
     placement, elsewhere = place(arm, kept), _elsewhere(kept)
-    arms, left_out = ({}, {}) if refused else _arms(placement, kept, refused, elsewhere)
+    arms = {} if refused else _arms(placement, kept, refused)
     models = scattered()
     if rare := rare_target(kept):
         refused[Idw.name] = rare
         del models[Idw.name]
-    left_out = cross_validate(arm, kept, models) | left_out
-    left_out = {name: miss_mm[elsewhere] for name, miss_mm in left_out.items()}
-    validated = {name: figures_of(miss) for name, miss in left_out.items()}
+    fold = pose_folds(kept.joints_rad)
+    left_out = cross_validate(arm, kept, models)
+    left_out |= {name: each.left_out(fold) for name, each in arms.items()}
+    left_out = {name: each.at(elsewhere) for name, each in left_out.items()}
+    validated = {name: each.figures for name, each in left_out.items()}
     chosen = choose(validated, WEIGHTS)
     methods: dict[str, Method] = {
         name: AtPoints.learn(placement, kept, model) for name, model in models.items()
     }
     methods |= arms
+    methods = {name: replace(each, doubt=left_out[name].doubt) for name, each in methods.items()}
     judged, coverage, reason = validated, dict[str, Coverage](), ""
     best = min(arms, key=lambda name: validated[name].mean, default=None)
     if test is not None:
         refuse_another_robot(placement, test)
         judged, coverage = _judged(methods, test, best)
-        refuse_contradicting(
-            test,
-            chosen,
-            coverage[chosen]["share"],
-            coverage[chosen]["bound_mm"],
-            judged[chosen].mean,
-        )
+        if inside := coverage.get(chosen):
+            refuse_contradicting(
+                test, chosen, inside["share"], inside["bound_mm"], judged[chosen].mean
+            )
         if reason := worse_than_nominal(chosen, judged):
             chosen = NOMINAL
     why = "least mean and p95 of misses at training poses left out"
@@ -427,8 +450,8 @@ def fit_robot(robot: Robot, train: Measurements, test: Measurements | None = Non
         "refused": refused,
         "outliers": _outliers(methods[best or NOMINAL], train.at(sorted(order[bad]))),
         "coverage": coverage,
-        "coverage95": coverage[chosen]["share"] if coverage else None,
-        "model": None if best is None else arms[best].found(best),
+        "coverage95": coverage[chosen]["share"] if chosen in coverage else None,
+        "model": None if best is None else arms[best].identified(best),
         "train": len(kept),
         "test": int(elsewhere.sum()) if test is None else len(test),
         "seconds": time.perf_counter() - start_s,
@@ -443,20 +466,23 @@ def scattered() -> dict[str, type[LearntModel]]:
 
 def cross_validate(
     arm: Arm, rows: Measurements, models: Mapping[str, type[LearntModel]]
-) -> dict[str, Array]:
-    """Measured minus predicted (N, 3) by each model, a fifth of the poses left out; NaN for
-    reflectors that no other fifth shows.
+) -> dict[str, LeftOut]:
+    """Rows by each model, a fifth of the poses left out; NaN for reflectors that no other fifth
+    shows.
     """
-    fold, elsewhere = pose_folds(rows.joints_rad), _elsewhere(rows)
-    miss_mm = {name: np.full((len(rows), 3), np.nan) for name in models}
+    fold, elsewhere, size = pose_folds(rows.joints_rad), _elsewhere(rows), len(rows)
+    found = {
+        name: LeftOut(*(np.full((size, *of), np.nan) for of in ((3,), (3, 3)))) for name in models
+    }
     for left_out in range(FOLDS):
         known = rows.at(np.flatnonzero(fold != left_out))
         own = np.flatnonzero((fold == left_out) & elsewhere)
         asked, placement = rows.at(own), place(arm, known)
-        for name, miss in miss_mm.items():
-            found_mm = AtPoints.learn(placement, known, models[name]).predict(asked)[0]
-            miss[own] = asked.xyz_mm - found_mm
-    return miss_mm
+        for name, each in found.items():
+            predicted = Predicted.by(AtPoints.learn(placement, known, models[name]), asked)
+            each.miss_mm[own] = asked.xyz_mm - predicted.xyz_mm
+            each.covariance_mm2[own] = predicted.covariance_mm2
+    return found
 
 
 def _elsewhere(rows: Measurements) -> Bools:
@@ -467,21 +493,21 @@ def _elsewhere(rows: Measurements) -> Bools:
 
 
 def _arms(
-    placement: Placement, rows: Measurements, refused: dict[str, str], elsewhere: Bools
-) -> tuple[dict[str, FittedArm], dict[str, Array]]:
-    fold, arms = pose_folds(rows.joints_rad), {}
+    placement: Placement, rows: Measurements, refused: dict[str, str]
+) -> dict[str, FittedArm]:
+    arms: dict[str, FittedArm] = {}
     for name in TERMS:
         try:
             arms[name] = FittedArm.learn(placement, rows, name)
         except IdentificationError as error:
             refused[name] = str(error)
-    miss_mm = {name: arm.left_out_mm(fold) for name, arm in arms.items()}
-    if not arms:
-        return arms, miss_mm
-    best = min(arms, key=lambda name: figures_of(miss_mm[name][elsewhere]).mean)
-    arms[RESIDUAL] = arms[best].with_residual()
-    miss_mm[RESIDUAL] = arms[RESIDUAL].left_out_mm(fold)
-    return arms, miss_mm
+    if arms:
+        arms[RESIDUAL] = arms[max(arms, key=_terms)].with_joint_errors()
+    return arms
+
+
+def _terms(name: str) -> int:
+    return sum(TERMS[name])
 
 
 def figures_of(miss_mm: Array) -> Figures:
@@ -505,9 +531,8 @@ def methods_table(methods: Mapping[str, Mapping[str, float]]) -> Table:
 
 
 def _contradicting(placement: Placement, rows: Measurements) -> tuple[Bools, dict[str, str]]:
-    richest = max(TERMS, key=lambda name: sum(TERMS[name]))
     try:
-        found = FittedArm.learn(placement, rows, richest, trusted=False)
+        found = FittedArm.learn(placement, rows, max(TERMS, key=_terms), trusted=False)
     except IdentificationError as error:
         refuse_absurd(placement.arm, rows, placement.miss_mm(rows))
         if isinstance(error, ManyContradict):
@@ -529,7 +554,9 @@ def _judged(
         miss_mm, bounds[name] = test.xyz_mm - predicted.xyz_mm, predicted.bound95_mm
         inside = statistics.lengths_mm(miss_mm) <= bounds[name]
         found[name] = figures_of(miss_mm)
-        coverage[name] = Coverage(share=float(inside.mean()), bound_mm=float(bounds[name].mean()))
+        if np.isfinite(method.doubt):  # else too few poses for a bound
+            bound_mm = float(bounds[name].mean())
+            coverage[name] = Coverage(share=float(inside.mean()), bound_mm=bound_mm)
         if name == best:
             refuse_undetermined(test, miss_mm, bounds[name])
     return found, coverage

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from hilcell.geometry.kinematics import Array
 
 CONFIDENCE = 0.95
+LEAST_BOUNDED = 19  # values from which on one more is below the largest with this confidence
 
 
 class Figures(NamedTuple):
@@ -164,6 +165,18 @@ def bounds95_mm(covariances_mm2: ArrayLike, freedom: ArrayLike = math.inf) -> Ar
     sizes = np.divide(trace**2, squares, out=np.full_like(trace, 3.0), where=squares != 0)
     most_freedom = 1e6  # as good as infinite; beyond F is not computed exactly
     return np.asarray(np.sqrt(trace * fdtri(sizes, np.minimum(freedom, most_freedom), CONFIDENCE)))
+
+
+def conformal_factor(scores: ArrayLike) -> float:
+    """Factor of a bound, by scores (N,) of values not learnt from: each one's size over its bound.
+
+    `CONFIDENCE` of further values are within the bound times it, whatever their distribution, if
+    they are exchangeable with the scored ones (split conformal prediction: Vovk et al. 2005;
+    Lei et al. 2018). Infinite below `LEAST_BOUNDED` scores, which bound no 95 %.
+    """
+    ordered = np.sort(np.asarray(scores, dtype=float))
+    rank = math.ceil((len(ordered) + 1) * CONFIDENCE)
+    return float(ordered[rank - 1]) if rank <= len(ordered) else math.inf
 
 
 def effective_freedom(traces_mm2: ArrayLike, freedom: ArrayLike) -> Array:

@@ -96,9 +96,14 @@ class Estimate:
         """Return positions (M, K, 3) and covariances (M, K, 3, 3) of readings there."""
         return predict(self.kinematics, self.state, self.system.covariance, self.noise, joints_rad)
 
-    def left_out_mm(self, folds: Iterable[Ints]) -> Array:
-        """Return measured less predicted (M, K, 3), by folds of poses left out together."""
-        return self.system.left_out_mm(folds)
+    @property
+    def covariance(self) -> Array:
+        """Return the parameters' covariance (P, P)."""
+        return self.system.covariance
+
+    def left_out(self, folds: Iterable[Ints]) -> tuple[Array, Array]:
+        """As `System.left_out`."""
+        return self.system.left_out(folds)
 
 
 def identify(
@@ -379,16 +384,19 @@ class System:
         log_prior = 2.0 * float(np.linalg.slogdet(self.prior_root)[1])
         return -0.5 * (chi2 + log_noise + log_posterior - log_prior)
 
-    def left_out_mm(self, folds: Iterable[Ints]) -> Array:
-        """Measured less predicted (M, K, 3), by folds (F,) of poses left out together. NaN for
-        unknown readings and poses of no fold.
+    def left_out(self, folds: Iterable[Ints]) -> tuple[Array, Array]:
+        """Return measured less predicted (M, K, 3) and its covariance (M, K, 3, 3), by folds (F,)
+        of poses left out together. NaN for unknown readings and poses of no fold.
         """
-        count, rows = self.residual_mm.shape
-        missed: Array = np.full((count, rows), np.nan)
+        missed: Array = np.full((*self.known.shape, 3), np.nan)
+        covariance: Array = np.full((*self.known.shape, 3, 3), np.nan)
         for fold in folds:
-            P = self._fold_precision(fold)
-            missed[fold] = np.linalg.solve(P, self.weighted[fold].ravel()).reshape(-1, rows)
-        return np.where(self.known[..., None], missed.reshape(count, -1, 3), np.nan)
+            C: Array = np.asarray(np.linalg.inv(self._fold_precision(fold)), dtype=float)
+            shape = (len(fold), -1, 3)
+            missed[fold] = (C @ self.weighted[fold].ravel()).reshape(shape)
+            covariance[fold] = diagonal_blocks(C).reshape(*shape, 3)
+        missed[~self.known], covariance[~self.known] = np.nan, np.nan
+        return missed, covariance
 
     def excess(self, folds: Iterable[Ints]) -> float:
         """Mean square of left-out errors by folds of poses, over its expectation. About 1 where
@@ -433,27 +441,34 @@ class Observability:
     """``ratio`` (P,): posterior over prior standard deviation of each parameter.
 
     ``directions``: number of combinations of parameters that the data determine better than the
-    prior; ``effective``: their degrees of freedom; ``condition``: ratio of the best to the worst
-    determined of them.
+    prior; ``condition``: ratio of the best to the worst determined of them.
     """
 
     ratio: Array
     directions: int
-    effective: float
     condition: float
 
 
-def observability(system: System) -> Observability:
-    """Return which errors of a robot a system's readings determine, and which only the prior."""
-    W = system.prior_root
-    whitened = W @ system.covariance @ W.T
+def observability(kinematics: Kinematics, covariance: Array) -> Observability:
+    """Return which errors of a robot readings determine, and which only the prior.
+
+    ``covariance`` (P, P): of the parameters after the readings.
+    """
+    W = kinematics.prior_root
+    whitened = W @ covariance @ W.T
     prior = np.linalg.inv(W.T @ W)
-    ratio = np.sqrt(np.diag(system.covariance) / np.diag(prior))
+    ratio = np.sqrt(np.diag(covariance) / np.diag(prior))
     left = np.clip(np.linalg.eigvalsh((whitened + whitened.T) / 2), 1e-30, 1.0)
     gains = np.sqrt(1.0 / left - 1.0)  # standard deviations of the prior over the data's
     known = gains[gains > 1.0]
     condition = float(known.max() / known.min()) if len(known) else 1.0
-    return Observability(ratio, len(known), float(np.sum(1.0 - left)), condition)
+    return Observability(ratio, len(known), condition)
+
+
+def diagonal_blocks(matrix: Array) -> Array:
+    """Return the blocks (N, 3, 3) on the diagonal of a matrix (3 N, 3 N)."""
+    at = np.arange(len(matrix)).reshape(-1, 3)
+    return np.asarray(matrix[at[:, :, None], at[:, None]])
 
 
 def triangle(*blocks: Array) -> Array:

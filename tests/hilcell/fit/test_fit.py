@@ -195,7 +195,7 @@ def test_a_repeated_row_is_left_out_with_its_pose() -> None:
     rows = measured(3, 40, ["SMR1"], error=0.0)
     rows.xyz_mm[10] += [0.0, 0.0, 5.0]
     twice = rows.at(np.repeat(np.arange(len(rows)), 2))
-    miss = np.linalg.norm(cross_validate(IRB120.arm, twice, scattered())["idw"], axis=1)
+    miss = np.linalg.norm(cross_validate(IRB120.arm, twice, scattered())["idw"].miss_mm, axis=1)
     np.testing.assert_allclose(miss[20:22], 5.0, atol=0.5)
 
 

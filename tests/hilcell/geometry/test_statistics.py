@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from hilcell.geometry.statistics import (
+    LEAST_BOUNDED,
     BeamNoise,
     beam_noise,
     bounds95_mm,
     chance_of_at_most,
     chi2_quantile,
+    conformal_factor,
     coverage_factor,
     effective_freedom,
     expanded,
@@ -199,3 +201,19 @@ def test_expanded_is_of_the_worst_direction_and_of_few_degrees_of_freedom() -> N
 def test_a_value_has_the_digits_that_its_uncertainty_supports(U: float, value: float) -> None:
     assert rounded(1638.34567, U) == value
     assert str(rounded(-0.001, 2.0)) == "0.0"
+
+
+@pytest.mark.parametrize("count", [19, 40, 200])
+def test_a_conformal_factor_bounds_19_of_20_further_values(count: int) -> None:
+    """Whatever their distribution, here a very skewed one."""
+    rng, inside = np.random.default_rng(count), []
+    for _ in range(400):
+        scores = rng.standard_normal((2, count)) ** 4
+        inside.append((scores[1] <= conformal_factor(scores[0])).mean())
+    assert 0.94 < float(np.mean(inside)) < 0.95 + 1.2 / count + 0.01
+
+
+def test_few_scores_bound_nothing() -> None:
+    scores = np.arange(LEAST_BOUNDED)
+    assert conformal_factor(scores) == LEAST_BOUNDED - 1
+    assert math.isinf(conformal_factor(scores[1:]))

@@ -166,8 +166,8 @@ def test_a_joint_that_never_moves_leaves_its_own_parameters_to_the_prior() -> No
     still = replace(
         readings, joints_rad=joints, xyz_mm=KINEMATICS.positions_mm(robot.state, joints)
     )
-    moving = observability(found(robot, readings).system)
-    known = observability(found(robot, still).system)
+    moving = observability(robot.kinematics, found(robot, readings).covariance)
+    known = observability(robot.kinematics, found(robot, still).covariance)
     assert known.directions < moving.directions
     beta = KINEMATICS.names.index("alpha3 rad")
     assert known.ratio[beta] > moving.ratio[beta]
@@ -252,7 +252,7 @@ def test_poses_left_out_are_predicted_by_the_others(system: System) -> None:
     _, r, K, _ = dense(system)
     pose = np.repeat(np.arange(25), 6)[np.repeat(system.known, 3, axis=1).ravel()]
     folds = [np.arange(0, 25, 2, dtype=np.int_), np.arange(1, 25, 2, dtype=np.int_)]
-    found = system.left_out_mm(folds)
+    found, _ = system.left_out(folds)
     for fold in folds:
         out = np.isin(pose, fold)
         predicted = K[np.ix_(out, ~out)] @ np.linalg.solve(K[np.ix_(~out, ~out)], r[~out])
