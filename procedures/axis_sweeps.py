@@ -1,4 +1,4 @@
-"""Short-wave errors of the gears, from slow sweeps of single axes with the tracker streaming."""
+"""Errors of single joints, from slow sweeps of single axes with the tracker streaming."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ DIRECTIONS = ("up", "down")
 
 
 class Swept(StepResult, frozen=True, kw_only=True):
-    """An axis's transmission curve: lines in cycles per revolution, amplitudes, residual, and
-    difference of both sweeps.
+    """An axis's transmission curve: lines in cycles per revolution, amplitudes, rms of the smooth
+    error, residual, and difference of both sweeps.
     """
 
     axis: int
@@ -47,6 +47,7 @@ class Swept(StepResult, frozen=True, kw_only=True):
     lag_u_ms: float
     noise_urad: float
     signal_urad: float
+    smooth_urad: float
     share: float
     differ_urad: float
     lost: int
@@ -182,6 +183,7 @@ class AxisSweeps:
             lag_u_ms=record.lag_sigma_s * 1e3,
             noise_urad=record.noise_rad * 1e6,
             signal_urad=record.signal_rad * 1e6,
+            smooth_urad=record.smooth_rad * 1e6,
             share=record.share,
             differ_urad=record.differ_rad * 1e6,
             lost=record.lost,
@@ -194,6 +196,7 @@ class AxisSweeps:
                 Column("axis", lambda row: f"A{row.axis}"),
                 Column("used", lambda row: "yes" if row.used else row.reason),
                 Column("cycles: amplitude", attrgetter("lines"), "µrad"),
+                Column("smooth", attrgetter("smooth_urad"), "µrad", ".1f"),
                 Column("lag", attrgetter("lag_ms"), "ms", ".2f"),
                 Column("noise", attrgetter("noise_urad"), "µrad", ".1f"),
                 Column("signal", lambda row: 100 * row.share, "%", ".0f"),

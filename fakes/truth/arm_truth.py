@@ -44,6 +44,10 @@ class Ripple:
         amplitude[:, -1] = sizes.unlisted_urad * URAD
         unlisted_cycles = (52.0, 149.0)  # between pins and ratios, never a whole number
         cycles[:, -1] = rng.uniform(*unlisted_cycles, 6)
+        for band in sizes.band:
+            size_rad = band.rms_urad * URAD * np.sqrt(2.0 / band.lines)
+            amplitude = np.hstack([amplitude, np.full((6, band.lines), size_rad)])
+            cycles = np.hstack([cycles, rng.uniform(*band.cycles, (6, band.lines))])
         self.amplitude_rad, self.cycles = amplitude, cycles
         self.phase_rad = rng.uniform(0.0, 2 * np.pi, amplitude.shape)
 

@@ -78,6 +78,19 @@ class Errors(Frozen, frozen=True, kw_only=True):
         refuse_descending(self, "size_mm", "largest_mm")
 
 
+class Band(Frozen, frozen=True, kw_only=True):
+    """A joint's error between two frequencies, no gear's: ``lines`` of random frequency and phase,
+    and of equal size in the mean.
+    """
+
+    cycles: Cycles  # a turn
+    rms_urad: Angle
+    lines: Annotated[int, Meta(ge=1, le=100)] = 6
+
+    def __post_init__(self) -> None:
+        refuse_backwards(cycles=self.cycles)
+
+
 class Transmission(Frozen, frozen=True, kw_only=True):
     """Gears: ripple, lost motion, repeatability; and the arm's thermal growth."""
 
@@ -88,16 +101,21 @@ class Transmission(Frozen, frozen=True, kw_only=True):
     rp_mm: Extent
     load_share: Share = 0.0  # largest relative change of the ripple with a joint's load
     unlisted_urad: Angle = 0.0  # amplitude of a harmonic that is not in the gear data
+    band: list[Band] = field(default_factory=list)
     growth_um_m_k: Rate = 0.0
 
     def __post_init__(self) -> None:
-        refuse(
-            [
-                f"{key}: expected the lowest first, got {least} .. {most}"
-                for key, (least, most) in (("pins", self.pins), ("ratios", self.ratios))
-                if not least <= most
-            ]
-        )
+        refuse_backwards(pins=self.pins, ratios=self.ratios)
+
+
+def refuse_backwards(**ranges: tuple[int, int]) -> None:
+    refuse(
+        [
+            f"{key}: expected the lowest first, got {least} .. {most}"
+            for key, (least, most) in ranges.items()
+            if not least <= most
+        ]
+    )
 
 
 class RailSizes(Frozen, frozen=True, kw_only=True):

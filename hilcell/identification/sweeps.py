@@ -3,7 +3,11 @@
 A lag between both streams resembles a constant error of the joint, of opposite sign in the two
 directions, and shifts the curve along the joint. The constants determine the lag, as far as lost
 motion allows, and the lines of both directions improve it. The constant of a curve, its slope and
-its long waves are not used: they contain frames, kinematics and gravity.
+one and two waves a revolution are not used: they contain frames, kinematics and gravity.
+
+A curve is lines and, where there is evidence for it, a smooth error below them
+(`hilcell.identification.smooth_error`). Long waves of it, half a period in the range and less, are
+left to the static poses: the records hardly determine them, and the covariance says so.
 
 Lines are detected in both records at once, which have their own smooth errors and are apart along
 the joint by twice the shift. Signal is common to both directions; their difference is noise, at any
@@ -14,7 +18,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 from msgspec.structs import replace
@@ -24,6 +28,7 @@ from hilcell.geometry.kinematics import Arm, Array
 from hilcell.geometry.statistics import rms
 from hilcell.identification.axis_motion import BadStream, Motion, SweepStream, axis_motion
 from hilcell.identification.kinematics import TransmissionCurve
+from hilcell.identification.smooth_error import Regression, most_likely
 from hilcell.model.events import URAD, CurveMeasured
 
 DIFFERS = 0.5  # of the largest line: by how much the directions may differ
@@ -113,6 +118,7 @@ def without_curve(axis: int, reason: str, lag_s: float = 0.0) -> CurveMeasured:
         axis=axis + 1, reason=reason, cycles=[], amplitude_rad=[], covariance_rad2=[],
         shift_rad=0.0, shift_sigma_rad=0.0, low_rad=0.0, high_rad=0.0, noise_rad=0.0, lag_s=lag_s,
         lag_sigma_s=0.0, signal_rad=0.0, share=0.0, differ_rad=0.0, lost=0, shown=[], spectrum=[],
+        smooth_cycles=[], smooth_amplitude_rad=[], smooth_rad=0.0,
     )  # fmt: skip
 
 
@@ -120,7 +126,7 @@ def _judged(axis: int, found: Found, rising: Motion, falling: Motion) -> CurveMe
     records, lines, speed_rad_s = found.records, found.lines, _speed(rising, falling)
     curve = found.curve(axis, speed_rad_s * max(rising.clock_s, falling.clock_s))
     curve_rad = curve.evaluate(records.joint_rad + lines.shift.rad * records.side)
-    left, signal = float(np.mean(np.square(lines.left_rad))), rms(curve_rad) ** 2
+    left, signal = float(np.mean(np.square(found.waves.left_rad))), float(np.var(curve_rad))
     largest_rad = float(np.linalg.norm(lines.amplitude_rad, axis=1).max(initial=0.0))
     reason = ""
     if not found.differ_rad <= DIFFERS * largest_rad:
@@ -131,9 +137,10 @@ def _judged(axis: int, found: Found, rising: Motion, falling: Motion) -> CurveMe
     seen = replace(
         without_curve(axis, reason, lines.shift.rad / speed_rad_s),
         lag_sigma_s=lines.shift.sigma_rad / speed_rad_s,
-        noise_rad=float(np.sqrt(left)),
+        noise_rad=curve.noise_rad,
         signal_rad=float(np.sqrt(signal)),
-        share=signal / (signal + left),  # of the short-wave variance, explained by the curve
+        share=signal / (signal + left),  # of the variance, explained by the curve
+        smooth_rad=found.smooth_rad(),
         differ_rad=found.differ_rad,
         lost=rising.lost + falling.lost,
         shown=np.round(found.shown(curve) * [np.degrees(1.0), URAD, URAD], 3).tolist(),
@@ -141,10 +148,13 @@ def _judged(axis: int, found: Found, rising: Motion, falling: Motion) -> CurveMe
     )
     if reason:
         return seen
+    count = len(lines.cycles)
     return replace(
         seen,
-        cycles=curve.cycles.tolist(),
-        amplitude_rad=curve.amplitude_rad.tolist(),
+        cycles=curve.cycles[:count].tolist(),
+        amplitude_rad=curve.amplitude_rad[:count].tolist(),
+        smooth_cycles=curve.cycles[count:].tolist(),
+        smooth_amplitude_rad=curve.amplitude_rad[count:].tolist(),
         covariance_rad2=curve.covariance_rad2.tolist(),
         shift_sigma_rad=curve.shift_sigma_rad,
         low_rad=curve.low_rad,
@@ -154,11 +164,13 @@ def _judged(axis: int, found: Found, rising: Motion, falling: Motion) -> CurveMe
 
 def transmission_curve(measured: CurveMeasured) -> TransmissionCurve:
     """Curve of an event, where valid."""
-    count = len(measured.cycles)
+    cycles = [*measured.cycles, *measured.smooth_cycles]
+    amplitude_rad = [*measured.amplitude_rad, *measured.smooth_amplitude_rad]
+    count = len(cycles)
     return TransmissionCurve(
         measured.axis - 1,
-        np.array(measured.cycles),
-        np.array(measured.amplitude_rad).reshape(count, 2),
+        np.array(cycles),
+        np.array(amplitude_rad).reshape(count, 2),
         np.array(measured.covariance_rad2).reshape(2 * count, 2 * count),
         measured.shift_rad,
         measured.shift_sigma_rad,
@@ -179,6 +191,7 @@ class Records:
     """Records of both directions, concatenated: joint, error and direction of N samples."""
 
     FREE_RAD = 0.1  # 1 sigma of constant and slope: nothing is known of them
+    GEOMETRY_RAD: ClassVar = {1: 1e-3, 2: 5e-4}  # 1 sigma of these waves a revolution, the arm's
 
     joint_rad: Array  # (N,) as read, not yet shifted
     error_rad: Array  # (N,)
@@ -214,12 +227,16 @@ class Records:
     @cached_property
     def smooth(self) -> Array:
         """Columns (N, P) of smooth errors, separate for each direction, in units of 1 sigma."""
+        below_lines = {3: 2e-4, 4: 5e-5, 5: 2e-5} | dict.fromkeys(range(6, 18, 3), 1e-5)
+        return self.each_direction(self.GEOMETRY_RAD | below_lines)
+
+    def each_direction(self, waves_rad: dict[int, float]) -> Array:
+        """Columns (N, P), separate for each direction, of constant, slope and waves, in units of
+        the 1 sigma of each wave's order.
+        """
         angle = self.angle_rad(0.0)
-        # 1 sigma of the joint's harmonics below the lowest line
-        smooth_rad = {1: 1e-3, 2: 5e-4, 3: 2e-4, 4: 5e-5, 5: 2e-5}
-        smooth_rad |= dict.fromkeys(range(6, 18, 3), 1e-5)
         columns = [np.full_like(angle, self.FREE_RAD), self.FREE_RAD * angle / self.half_rad]
-        for order, sigma in smooth_rad.items():
+        for order, sigma in waves_rad.items():
             columns += [sigma * np.cos(order * angle), sigma * np.sin(order * angle)]
         both, up = np.stack(columns, axis=1), (self.side > 0)[:, None]
         return np.hstack([both * up, both * ~up])
@@ -344,27 +361,31 @@ class Lines:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """The significant lines, with their covariance (2K, 2K). ``differ_rad``: largest amplitude of
-    the difference between the directions at one frequency, 0 where it may be chance.
+    """The significant lines, and all K waves: these lines, then those of a smooth error, if any.
+
+    ``covariance_rad2`` (2K, 2K) of the waves' amplitudes. ``differ_rad``: largest amplitude of the
+    difference between the directions at one frequency, 0 where it may be chance.
     """
 
     records: Records
     lines: Lines
+    waves: Lines
     covariance_rad2: Array
     differ_rad: float
     trial: Trial
 
     def curve(self, axis: int, clocks_rad: float) -> TransmissionCurve:
-        """Return the curve of the joint itself: the lines are about the records' middle."""
-        order = np.argsort(self.lines.cycles)
-        cycles = self.lines.cycles[order]
+        """Return the curve of the joint itself: the waves are about the records' middle."""
+        lines, waves = len(self.lines.cycles), self.waves
+        order = np.append(np.argsort(self.lines.cycles), np.arange(lines, len(waves.cycles)))
+        cycles = waves.cycles[order]
         angle = cycles * self.records.middle_rad
         turn = np.zeros((2 * len(cycles), 2 * len(cycles)))
         for k, (c, s) in enumerate(zip(np.cos(angle), np.sin(angle), strict=True)):
             turn[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[c, -s], [s, c]]
         rows = (2 * order[:, None] + np.arange(2)).ravel()
         covariance = self.covariance_rad2[np.ix_(rows, rows)]
-        amplitude = turn @ self.lines.amplitude_rad[order].ravel()
+        amplitude = turn @ waves.amplitude_rad[order].ravel()
         shift_sigma_rad = 1e-5  # of the abscissa, besides the clocks': landing, reading cycle
         return TransmissionCurve(
             axis,
@@ -375,17 +396,24 @@ class Found:
             shift_sigma_rad=float(np.hypot(shift_sigma_rad, clocks_rad)),
             low_rad=float(self.records.joint_rad.min()),
             high_rad=float(self.records.joint_rad.max()),
-            noise_rad=rms(self.lines.left_rad),
+            noise_rad=rms(waves.left_rad),
         )
 
+    def smooth_rad(self) -> float:
+        """Return the rms of the smooth error over the range, less a straight line."""
+        angle, first = self.records.angle_rad(self.lines.shift.rad), len(self.lines.cycles)
+        cycles, amplitude = self.waves.cycles[first:], self.waves.amplitude_rad[first:]
+        smooth = _waves(angle, cycles) @ amplitude.ravel()
+        return rms(smooth - np.polyval(np.polyfit(angle, smooth, 1), angle))
+
     def shown(self, curve: TransmissionCurve) -> Array:
-        """Return joint, short-wave error and curve (B, 3), means of both directions."""
+        """Return joint, error and curve (B, 3), means of both directions."""
         joint_rad = self.records.joint_rad + self.lines.shift.rad * self.records.side
         by_curve = curve.evaluate(joint_rad)
         shown_rad = float(np.radians(0.1))  # one point of a picture
         number = ((joint_rad - joint_rad.min()) / shown_rad).astype(int)
         count = np.bincount(number)
-        rows = [joint_rad, self.lines.left_rad + by_curve, by_curve]
+        rows = [joint_rad, self.waves.left_rad + by_curve, by_curve]
         sums = np.stack([np.bincount(number, weights=row) for row in rows], axis=1)
         return sums[count > 0] / count[count > 0, None]
 
@@ -512,19 +540,55 @@ class Known:
         self.left_rad = records.left_rad(self.waves, explained)
 
     def covariance(self, lines: Lines, noises: tuple[Noise, ...]) -> Array:
-        """Return the covariance (2K, 2K) of the amplitudes, by the strongest noise at each line."""
+        """Return the covariance (2K, 2K) of the amplitudes."""
         first = len(self.root) - 2 * len(lines.cycles)
         block = (self.root.T @ self.root)[first:, first:] * LINE_RAD**2
-        variance_rad2 = np.max([noise.variance_rad2(lines.cycles) for noise in noises], axis=0)
-        sigma = np.repeat(np.sqrt(variance_rad2), 2)
-        # variance of a line with its frequency free over that with a known one, in the mean
-        freed = 1.5
-        return freed * block * np.outer(sigma, sigma)
+        sigma = np.repeat(_line_noise_rad(noises, lines.cycles), 2)
+        return block * np.outer(sigma, sigma)
+
+
+def _line_noise_rad(noises: tuple[Noise, ...], cycles: Array) -> Array:
+    """Return the strongest noise (K,) at lines, as far as it affects their amplitudes."""
+    # variance of a line with its frequency free over that with a known one, in the mean
+    freed = 1.5
+    strongest: Array = np.max([noise.variance_rad2(cycles) for noise in noises], axis=0)
+    return np.sqrt(freed * strongest)
+
+
+def with_smooth(found: Found, noises: tuple[Noise, ...]) -> Found:
+    """Add a smooth error where the evidence is for it."""
+    records, lines = found.records, found.lines
+    highest = max(45.0, records.lowest)  # cycles per revolution
+    ranges = 3.0  # after which the smooth error repeats
+    cycles = np.arange(1.0, highest * ranges / records.width) * records.width / ranges
+    geometry = records.each_direction(records.GEOMETRY_RAD)
+    angle, first = records.angle_rad(lines.shift.rad), geometry.shape[1]
+    columns = np.hstack([geometry, _waves(angle, np.append(lines.cycles, cycles))])
+    known = np.append(np.ones(first), np.full(2 * len(lines.cycles), LINE_RAD))
+    regression = Regression.of(columns, records.error_rad)
+    likely = most_likely(regression, known, cycles, rms(lines.left_rad))
+    least_gain = 6.0  # of the evidence's logarithm
+    if not likely.gain >= least_gain:
+        return found
+    lowest = np.array([records.lowest])
+    noise_rad = max(likely.noise, *(float(each.variance_rad2(lowest)[0]) ** 0.5 for each in noises))
+    sigma = np.append(known, np.repeat(likely.kernel.sigma_rad(cycles), 2))
+    mean, covariance = regression.posterior(sigma, noise_rad)
+    own = np.append(_line_noise_rad(noises, lines.cycles) / noise_rad, np.ones(len(cycles)))
+    waves = Lines(
+        np.append(lines.cycles, cycles),
+        mean[first:].reshape(-1, 2),
+        lines.shift,
+        records.error_rad - columns @ mean,
+    )
+    scale = np.repeat(own, 2)
+    scaled = covariance[first:, first:] * np.outer(scale, scale)
+    return Found(records, lines, waves, scaled, found.differ_rad, found.trial)
 
 
 def search(records: Records, shift: Shift) -> Found:
     """Detect lines one by one, the strongest against the noise first, until chance explains the
-    rest. ``shift`` is the initial value; the lines improve it.
+    rest, then the smooth error. ``shift`` is the initial value; the lines improve it.
     """
     trial, lines = Trial(records), without_lines(records, shift)
     smooth_left_rad, refused = rms(lines.left_rad), list[float]()
@@ -541,9 +605,10 @@ def search(records: Records, shift: Shift) -> Found:
             score[np.abs(trial.cycles - cycles) < apart * records.width] = 0.0
         best = int(np.argmax(score))
         rest = spectral_noise(same.powers_rad2[trial.apart], trial.cycles[trial.apart])
-        found = Found(records, lines, known.covariance(lines, (noise, rest)), differ_rad, trial)
         if len(tried) == most_lines or not noise.is_line(score, trial.cycles):
-            return found
+            noises = (noise, rest)
+            covariance = known.covariance(lines, noises)
+            return with_smooth(Found(records, lines, lines, covariance, differ_rad, trial), noises)
         more = Lines(
             np.append(lines.cycles, trial.cycles[best]),
             np.vstack([lines.amplitude_rad, same.amplitude_rad[best]]),

@@ -479,9 +479,10 @@ class StreamRecorded(OfPoint, frozen=True, kw_only=True, tag="stream"):
 class CurveMeasured(Event, frozen=True, kw_only=True, tag="curve"):
     """Transmission error of one axis, 1 to 6.
 
-    ``reason`` is empty where there is a curve. ``amplitude_rad``: cosine and sine of each of
-    ``cycles`` per revolution; ``covariance_rad2`` in the same order. ``shown`` is for plots: joint
-    in deg, short-wave error as measured and by the curve in urad; ``spectrum`` in cycles and urad.
+    ``reason`` is empty where there is a curve. ``amplitude_rad``: cosine and sine of each line of
+    ``cycles`` per revolution; the same of the waves of a smooth error, of rms ``smooth_rad`` less a
+    straight line; ``covariance_rad2`` of both in this order. ``shown`` is for plots: joint in deg,
+    error as measured and by the curve in urad; ``spectrum`` in cycles and urad.
     """
 
     says: ClassVar[str] = "curve of {0.summary}"
@@ -503,6 +504,9 @@ class CurveMeasured(Event, frozen=True, kw_only=True, tag="curve"):
     lost: int
     shown: list[Three]
     spectrum: list[Pair]
+    smooth_cycles: list[float] = field(default_factory=list)
+    smooth_amplitude_rad: list[Pair] = field(default_factory=list)
+    smooth_rad: float = 0.0
 
     @property
     def holds(self) -> bool:
@@ -520,7 +524,10 @@ class CurveMeasured(Event, frozen=True, kw_only=True, tag="curve"):
             return f"A{self.axis} not used: {self.reason}"
         sizes = sorted(zip(self.amplitudes_urad, self.cycles, strict=True), reverse=True)
         lines = ", ".join(f"{size:.1f} urad at {cycles:.1f}" for size, cycles in sizes)
-        return f"A{self.axis}: {lines or 'no line'}; lag {self.lag_s * 1e3:.1f} ms"
+        smooth = (
+            f", smooth error of {URAD * self.smooth_rad:.1f} urad" if self.smooth_cycles else ""
+        )
+        return f"A{self.axis}: {lines or 'no line'}{smooth}; lag {self.lag_s * 1e3:.1f} ms"
 
 
 class AxesNotSwept(Reasoned, frozen=True, kw_only=True, tag="axes not swept"):

@@ -455,13 +455,15 @@ class Tables:
 
         note = (
             "Found by slow sweeps in both directions: lines in cycles per revolution of the joint. "
-            "Lag: how much older the joints' readings are than the tracker's. Noise: of one "
-            "sample. Signal: share of the short-wave variance that the lines explain."
+            "Smooth: rms of the error below them, less a straight line. Lag: how much older the "
+            "joints' readings are than the tracker's. Noise: of one sample. Signal: share of the "
+            "variance that lines and smooth error explain."
         )
         columns: tuple[Column[CurveMeasured], ...] = (
             Column("axis", lambda row: f"A{row.axis}"),
             Column("cycles: amplitude", lines, "µrad"),
             Column("used", lambda row: "yes" if row.holds else f"no: {row.reason}"),
+            Column("smooth", lambda row: row.smooth_rad * URAD, "µrad", ".1f"),
             Column("from", lambda row: float(np.degrees(row.low_rad)), "°", ".1f"),
             Column("to", lambda row: float(np.degrees(row.high_rad)), "°", ".1f"),
             Column("lag", lambda row: row.lag_s * 1e3, "ms", ".2f"),

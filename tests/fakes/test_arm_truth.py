@@ -190,6 +190,9 @@ def design_of(name: str) -> Design:
     return Design(load_machine(name), (98.0, 0.0, 127.0))
 
 
+BAND = [{"cycles": [4, 32], "rms_urad": 45.0, "lines": 8}]
+
+
 def test_only_hard_has_a_harmonic_outside_every_list() -> None:
     paper = Ripple(load_machine("paper").transmission, np.random.default_rng(1))
     assert not paper.amplitude_rad[:, -1].any()
@@ -200,6 +203,19 @@ def test_only_hard_has_a_harmonic_outside_every_list() -> None:
         beside = ripple.cycles[:, -1]
         assert ((beside > sizes.pins[1]) & (beside < sizes.ratios[0])).all()
         assert np.abs(beside - np.round(beside)).min() > 1e-6
+
+
+def test_a_band_has_its_size_in_every_joint_between_its_frequencies() -> None:
+    sizes = load_machine("paper", {"transmission": {"band": BAND, "ripple_urad": 0.0}}).transmission
+    q = np.repeat(np.linspace(-np.pi, np.pi, 5000)[:, None], 6, axis=1)
+    sizes_rad = np.array([
+        Ripple(sizes, np.random.default_rng(seed))(q).std(axis=0) for seed in range(10)
+    ])  # fmt: skip
+    assert sizes_rad.mean() == pytest.approx(45 * URAD, rel=0.05)
+    assert sizes_rad.min() > 25 * URAD
+    inside = Ripple(sizes, np.random.default_rng(1)).cycles[:, -8:]
+    assert inside.min() >= 4.0
+    assert inside.max() <= 32.0
 
 
 def test_loads_span_their_range_over_the_cube_and_no_more() -> None:

@@ -82,6 +82,11 @@ def changed(folder: Path, before: str, after: str) -> str:
     [
         ("pins = [30, 51]", "pins = [51, 30]", "transmission.pins"),
         ("ratios = [150, 250]", "ratios = [250, 150]", "transmission.ratios"),
+        (
+            "[rail]",
+            "band = [{ cycles = [32, 4], rms_urad = 45.0 }]\n[rail]",
+            "transmission.band[0].cycles",
+        ),
         ("backlash_mm = 0.2", "backlash_mm = 100000.0", "rail.backlash_mm"),
         ("largest_mm = 1.9", "largest_mm = 1.2", "errors"),
     ],

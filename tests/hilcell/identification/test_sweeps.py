@@ -119,6 +119,41 @@ def test_the_covariance_states_the_curve_s_error() -> None:
     assert 0.5 < np.mean(squares) < 2.5
 
 
+LONG = ((5.0, 20.0, 1.0), (9.3, 60.0, 0.1), (14.2, 40.0, 2.0))
+FEW = ((26.0, 25.0, 0.5), (203.5, 25.0, 2.0))
+
+
+@pytest.mark.parametrize("times", [1.0, 3.0])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_smooth_error_below_the_lines_is_followed(axis: int, times: float) -> None:
+    both = lines(*((n, times * size, phase) for n, size, phase in LONG), *FEW)
+    tried = Axis(axis, both, lag_s=0.02)
+    found = swept(tried)
+    assert left_urad(tried, found) < 2.0 * times
+    assert 20.0 * times < found.smooth_rad / URAD < 60.0 * times
+    assert found.share > 0.9
+
+
+def test_no_smooth_error_without_evidence_for_it() -> None:
+    assert not FOUND_1.smooth_cycles
+    assert FOUND_1.smooth_rad == 0.0
+
+
+def test_what_a_sweep_hardly_determines_is_uncertain() -> None:
+    """The arm's geometry, as large as a smooth error's long waves, is in no sweep told from it."""
+    squares = []
+    for seed in range(4):
+        axis = Axis(0, lines(*LONG, *FEW), seed=seed)
+        curve = transmission_curve(swept(axis))
+        q = np.linspace(*axis.range_rad, 40)[2:-2]
+        off, B = curve.evaluate(q) - axis.ripple(q), curve.basis(q)
+        variance = np.einsum("nk,kl,nl->n", B, curve.covariance_rad2, B)
+        short = off - np.polyval(np.polyfit(q, off, 3), q)
+        assert np.sqrt(variance.mean()) > 10 * np.std(short)
+        squares.append(np.mean(off**2 / variance))
+    assert 0.05 < np.mean(squares) < 2.5
+
+
 def test_lost_samples_and_single_spikes_are_survived() -> None:
     up, down = AXIS_1.streams()
     keep = np.ones(len(up.device_s), dtype=bool)
