@@ -83,7 +83,7 @@ def guard_at(log: Log, station: str) -> Guard:
     for decided in reversed(log.happened(StationDecided)):
         if decided.station == station:
             return Guard(decided.mean_U_mm, decided.max_U_mm)
-    return guard_band(log, len(validation(log, [station])[Sent.CHOSEN]))
+    return guard_band(log, validation(log, [station])[Sent.CHOSEN].error_mm)
 
 
 def record_guard(session: CellSession, station: str) -> None:
@@ -113,7 +113,7 @@ def judgement(log: Log, stations: list[str]) -> Decided:
     decisions = [decision_at(log, station) for station in stations]
     counts, plan = [each.targets for each in decisions], log.cell.plan
     chosen, limits = validation(log, stations)[Sent.CHOSEN], tolerance_limits(log.cell)
-    guard, figures = guard_band(log, len(chosen)), chosen.figures
+    guard, figures = guard_band(log, chosen.error_mm), chosen.figures
     by_station: list[Outcome] = [
         Outcome.ACCEPTED if each.outcome is Outcome.ACCEPTED else Outcome.UNDECIDED
         for each in decisions

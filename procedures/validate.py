@@ -154,11 +154,12 @@ class Validate:
         for where, stations in judged_places(session.cell).items():
             place = self._place_of(session.log, where, stations)
             orientations = validated_orientation_errors(session.log, stations).get(Sent.CHOSEN)
+            errors = validation(session.log, stations)[Sent.CHOSEN]
             found = decide(
                 place.chosen.mean,
                 place.chosen.max,
                 limits,
-                guard_band(session.log, place.points),
+                guard_band(session.log, errors.error_mm),
                 orientation=largest_orientation_error(session.log, orientations),
                 sequential=place.decision,
             )

@@ -1,8 +1,9 @@
 """Decision rule for mean and largest error, by `hilcell.model.outcome`.
 
-U is that of the measurement (`measurement_budget`). |e| never changes by more than the measured
-position, so u of one coordinate, along e, bounds that of a single 3D error, and of the largest of
-many; in their mean the noise of readings averages. The largest orientation error (deg) is judged
+U is that of the measurement (`measurement_budget`). To first order |e| changes by the measured
+position's change along e, so u of one coordinate is that of a single 3D error, and of the largest
+of many; in their mean the noise of readings averages, and what moves all targets together acts by
+the directions of the errors. The largest orientation error (deg) is judged
 likewise where the cell limits it.
 """
 
@@ -86,12 +87,12 @@ def class_warning(cell: Cell, range_mm: float) -> str:
     )
 
 
-def guard_band(log: Log, count: int) -> Guard:
-    """U of mean and largest of ``count`` 3D errors; raises `HilcellError` without {W}."""
+def guard_band(log: Log, errors_mm: Array) -> Guard:
+    """U of mean and largest of 3D errors (N, 3); raises `HilcellError` without {W}."""
     budget = measurement_budget(log)
     if budget is None:
         raise HilcellError("no error is judged: no position was measured in {W}", code="HC-C21")
-    return Guard(budget.of_mean_of(count), budget.U_mm)
+    return Guard(budget.of_mean(errors_mm), budget.U_mm)
 
 
 def decide(
@@ -135,6 +136,4 @@ def decide(
 def decide_errors(log: Log, errors_mm: Array) -> Judged:
     """Decide on 3D errors (N, 3) of a run, by its cell's limits."""
     found = figures_of(lengths_mm(errors_mm))
-    return decide(
-        found.mean, found.max, tolerance_limits(log.cell), guard_band(log, len(errors_mm))
-    )
+    return decide(found.mean, found.max, tolerance_limits(log.cell), guard_band(log, errors_mm))

@@ -173,12 +173,14 @@ def world_covariance(log: Log, at_mm: Array, centring_mm2: float = 0.0) -> Array
     return np.asarray(moved.T @ moved)
 
 
-def world_as_framed(log: Log) -> Array | None:
-    """Covariance (6, 6) of {W} at its origin by its floor nests, None without all."""
+def world_as_framed(log: Log, *, centred: bool = False) -> Array | None:
+    """Covariance (6, 6) of {W} at its origin by its floor nests, None without all. ``centred``: by
+    their readings alone, as if the reflector's optics were in the centre of its sphere.
+    """
     if len(floor_points(log)) != FLOOR_NESTS:
         return None
-    centring_mm2 = rectangular_variance(log.cell.uncertainty.smr_centring_limit_mm)
-    return world_covariance(log, np.zeros(3), centring_mm2)
+    limit_mm = 0.0 if centred else log.cell.uncertainty.smr_centring_limit_mm
+    return world_covariance(log, np.zeros(3), rectangular_variance(limit_mm))
 
 
 def world_motion(log: Log, at_mm: Array, nest: int, step_mm: Array) -> Array:

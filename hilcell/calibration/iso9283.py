@@ -20,6 +20,7 @@ from msgspec.structs import replace
 
 from hilcell.calibration.lookup import calibration_in
 from hilcell.calibration.measurement_budget import (
+    CENTRED,
     NOISE,
     WORLD,
     combined_mm,
@@ -413,7 +414,7 @@ class _Evaluation:
     def system_mm(self, *, framed: bool) -> float:
         """U of one coordinate besides the readings' noise; with {W} if ``framed``."""
         budget = measurement_budget(self.log)
-        without = (NOISE,) if framed else (NOISE, WORLD)
+        without = (NOISE,) if framed else (NOISE, WORLD, CENTRED)
         lines = (
             [] if budget is None else [each for each in budget.lines if each.name not in without]
         )

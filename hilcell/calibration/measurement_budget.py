@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -31,6 +31,7 @@ class Contribution:
     """One line of a budget.
 
     ``estimate_mm`` is a standard deviation (normal) or a half-width (rectangular, GUM 4.3.7).
+    ``halved_by`` is what makes it half as large.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Contribution:
     source: str
     how: str
     clause: str
+    halved_by: str
 
     @property
     def u_mm(self) -> float:
@@ -70,7 +72,8 @@ def systematic_mm2(stated: UncertaintyTable, at_mm: Array) -> Array:
     )
 
 
-NOISE, WORLD = "Tracker, reading noise", "World frame"
+NOISE, WORLD, CENTRED = "Tracker, reading noise", "World frame", "World frame, centring"
+FINER_REFLECTOR = "uncertainty.smr_centring_limit_mm of a finer reflector"
 STEEL_EXPANSION_PER_K = 11.5e-6  # of the structure between {W} and the points
 
 
@@ -88,15 +91,38 @@ class Budget:
     def U_mm(self) -> float:  # noqa: N802 - GUM's symbols: u and U differ
         return expanded_mm(self.u_mm)
 
-    def of_mean_of(self, count: int) -> float:
-        """U of the mean of ``count`` positions: only the readings' noise averages."""
-        lines = [
-            replace(each, estimate_mm=each.estimate_mm / math.sqrt(count))
-            if each.name == NOISE
-            else each
+    def of_mean(self, errors_mm: Array) -> float:
+        """U of the mean length of measured errors (N, 3).
+
+        The readings' noise averages. All else moves all targets together.
+        """
+        averaged = [each for each in self.lines if each.name == NOISE]
+        common = [each for each in self.lines if each.name != NOISE]
+        noise_mm = expanded_mm(combined_mm(averaged) / math.sqrt(len(errors_mm)))
+        return math.hypot(noise_mm, common_motion_mm(errors_mm, combined_mm(common)))
+
+    def with_half(self, name: str) -> Budget:
+        """The budget with one contribution half as large."""
+        return Budget([
+            replace(each, estimate_mm=each.estimate_mm / 2) if each.name == name else each
             for each in self.lines
-        ]
-        return expanded_mm(combined_mm(lines))
+        ])  # fmt: skip
+
+
+def common_motion_mm(errors_mm: Array, u_mm: float) -> float:
+    """U of the mean length of errors (N, 3) that an unknown motion d moves together.
+
+    ``u_mm``: of one coordinate of d. The mean changes by that of |e + d| - |e|: along d where all
+    errors are parallel, hardly where they have all directions, and upwards where they are shorter
+    than d. That is no linear model, so distributions are propagated (JCGM 101, 5.9); U is the
+    larger of both sides, each with the risk of k = 2.
+    """
+    draws_mm = u_mm * np.random.default_rng(101).standard_normal((10_000, 3))
+    squares_mm2 = np.add.outer(np.square(draws_mm).sum(axis=1), np.square(errors_mm).sum(axis=1))
+    moved_mm = np.sqrt(np.maximum(squares_mm2 + 2.0 * draws_mm @ errors_mm.T, 0.0)).mean(axis=1)
+    beyond = 0.02275  # of a normal distribution, beyond 2 sigma on one side
+    low_mm, high_mm = np.quantile(moved_mm - lengths_mm(errors_mm).mean(), [beyond, 1.0 - beyond])
+    return float(np.maximum(-low_mm, high_mm))  # NaN where an error is
 
 
 @of_measured
@@ -109,10 +135,11 @@ def measurement_budget(log: Log) -> Budget | None:
     return Budget([
         contributions.reading_noise(),
         Contribution("Tracker, systematic", stated.tracker_limit_mm, "rectangular",
-                     stated.tracker_source or ASSUMED, "limit of error", "4.3.7"),
+                     stated.tracker_source or ASSUMED, "limit of error", "4.3.7",
+                     "uncertainty.tracker_limit_mm by a certificate"),
         Contribution("SMR centring", stated.smr_centring_limit_mm, "rectangular",
                      stated.smr_source or ASSUMED, "centre of the optics against the sphere",
-                     "4.3.7"),
+                     "4.3.7", FINER_REFLECTOR),
         *contributions.world(),
         contributions.drift(),
         contributions.thermal(),
@@ -130,32 +157,51 @@ class _Contributions:
 
     def world(self) -> list[Contribution]:
         """Uncertainty of {W} at the points, where the run measured its three nests."""
-        covariance = world_as_framed(self.log)
-        if covariance is None:
+        whole, noise = world_as_framed(self.log), world_as_framed(self.log, centred=True)
+        if whole is None or noise is None:
             return []
+        return [
+            Contribution(WORLD, self._at_points_mm(noise), "normal", MEASURED,
+                         "noise of the three floor nests, carried to the points", "5.1.2",
+                         "4 times the readings of each floor nest (layout.nest_samples)"),
+            Contribution(CENTRED, self._at_points_mm(whole - noise), "normal", ASSUMED,
+                         "the reflector's centring in the three floor nests, carried to the points",
+                         "5.1.2", FINER_REFLECTOR),
+        ]  # fmt: skip
+
+    def _at_points_mm(self, covariance: Array) -> float:
+        """u of one coordinate at the points, by a covariance (6, 6) of {W}."""
         at_mm = apply(self.log.matrix("world"), positions_mm(self._flange_points()))
         J = motion_levers(at_mm)[:, :, :6]
         variances_mm2 = np.einsum("nij,jk,nik->n", J, covariance, J) / 3
-        u_mm = math.sqrt(float(variances_mm2.mean()))
-        how = "noise and centring of the three floor nests, carried to the points"
-        return [Contribution(WORLD, u_mm, "normal", f"{MEASURED}, and {ASSUMED}", how, "5.1.2")]
+        return math.sqrt(max(0.0, float(variances_mm2.mean())))
 
     def reading_noise(self) -> Contribution:
         points = self._flange_points()
         noise_mm = math.sqrt(variances_mm2(points).mean())
         how = f"scatter of the readings of {len(points)} points"
-        return Contribution(NOISE, noise_mm, "normal", MEASURED, how, "4.2.3")
+        halved_by = "4 times the readings (tracker.samples); in a mean, 4 times the targets"
+        return Contribution(NOISE, noise_mm, "normal", MEASURED, how, "4.2.3", halved_by)
 
     def drift(self) -> Contribution:
-        moved_mm = np.array([move for _, move in control_moves(self.log)])
-        if not len(moved_mm):
+        moves = control_moves(self.log)
+        if not moves:
             how, limit_mm = (
                 "floor nests were measured once only",
                 self.log.cell.uncertainty.drift_limit_mm,
             )
-            return Contribution("Drift", limit_mm, "rectangular", ASSUMED, how, "4.3.7")
-        how = f"{len(moved_mm)} measurements of the floor nests against the first"
-        return Contribution("Drift", rms(moved_mm), "normal", MEASURED, how, "4.2.2")
+            halved_by = "floor nests that are measured again"
+            return Contribution("Drift", limit_mm, "rectangular", ASSUMED, how, "4.3.7", halved_by)
+        noise_mm2 = sum(
+            float(variances_mm2(points).mean())
+            for points in ([each.now for each in moves], [each.first for each in moves])
+        )
+        drift_mm2 = rms([each.moved_mm for each in moves]) ** 2 - noise_mm2
+        how = f"{len(moves)} measurements of the floor nests against the first, less the readings'"
+        return Contribution(
+            "Drift", math.sqrt(max(0.0, drift_mm2)), "normal", MEASURED, how, "4.2.2",
+            "a tracker that has warmed up and stands still",
+        )  # fmt: skip
 
     def thermal(self) -> Contribution:
         celsius = self.log.temperatures_c()
@@ -169,13 +215,22 @@ class _Contributions:
         )
         limit_mm = thermal_limit_mm(length_mm, STEEL_EXPANSION_PER_K, range_k)
         source = f"{MEASURED}, and {ASSUMED}" if celsius else ASSUMED
-        return Contribution("Thermal expansion", limit_mm, "rectangular", source, how, "4.3.7")
+        return Contribution(
+            "Thermal expansion", limit_mm, "rectangular", source, how, "4.3.7",
+            "half the range of temperature",
+        )  # fmt: skip
 
 
-def control_moves(log: Log) -> list[tuple[Point, Array]]:
-    """Each control point and its motion (3,) since the first of nest and set-up, mm. Without those
-    that detected a moved tracker, which is no drift.
-    """
+class ControlMove(NamedTuple):
+    """A floor nest measured again, its first measurement of the set-up, and the motion (3,)."""
+
+    now: Point
+    first: Point
+    moved_mm: Array
+
+
+def control_moves(log: Log) -> list[ControlMove]:
+    """Motions of the floor nests, without those by which a moved tracker was detected."""
     firsts = {(point.set_up, point.id.nest): point for point in log.select("world")}
     again = [
         point
@@ -184,5 +239,7 @@ def control_moves(log: Log) -> list[tuple[Point, Array]]:
     ]
     pairs = [(point, firsts.get((point.set_up, point.id.nest))) for point in again]
     return [
-        (now, np.subtract(now.xyz_mm, first.xyz_mm)) for now, first in pairs if first is not None
+        ControlMove(now, first, np.subtract(now.xyz_mm, first.xyz_mm))
+        for now, first in pairs
+        if first is not None
     ]

@@ -6,9 +6,9 @@ Everything is computed from the journal, as the calibration file was.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -17,8 +17,8 @@ from hilcell.calibration.budget import Coverage, ValidatedTargets, coverages, cu
 from hilcell.calibration.from_run import calibration_so_far
 from hilcell.calibration.influence import ASSUMED, MEASURED, Bounds, NoBound, Part
 from hilcell.calibration.lookup import calibration_in
-from hilcell.calibration.measurement_budget import Budget, Contribution
-from hilcell.calibration.position_errors import places
+from hilcell.calibration.measurement_budget import NOISE, Budget, Contribution
+from hilcell.calibration.position_errors import Errors, places
 from hilcell.cell.uncertainty import COVERAGE_FACTOR
 from hilcell.journal.log import Log
 from hilcell.model.verdicts import OTHERS
@@ -191,6 +191,43 @@ def budget_table(budget: Budget | None, targets: TargetBudget, hidden: Sequence[
     notes += [f"In no line, because no run shows it: {each}." for each in hidden]
     title = "Uncertainty budget for one coordinate (GUM, JCGM 100:2008)"
     return Table(ROWS, rows, title, " ".join(notes), lambda row: "sum" if row.is_sum else "")
+
+
+def mean_table(budget: Budget | None, errors: Mapping[str, Errors]) -> Table:
+    """Return how to make U of the mean smaller at the place where it is largest, nothing where none
+    was measured. ``errors``: of the corrected targets, by place.
+    """
+    if budget is None or not errors:
+        return Table((), ())
+    means = {name: budget.of_mean(each.error_mm) for name, each in errors.items()}
+    place = max(means, key=lambda name: means[name])
+    error_mm, U_mm = errors[place].error_mm, means[place]
+    count, tenfold = len(error_mm), np.tile(error_mm, (10, 1))
+    stays_mm = budget.of_mean(tenfold)
+    note = (
+        f"U of the mean of {count} targets ({place_label(place)}) is {U_mm:.4f} mm (k = 2). Only "
+        f"the readings' noise averages: {len(tenfold) - count} more targets would bring U to "
+        f"{stays_mm:.4f} mm. Everything else moves all targets together, and their mean by the "
+        "directions of their errors: one of parallel errors by all of it, one of errors in all "
+        "directions by less. Each line: U where that source alone were half as large."
+    )
+    rows = [
+        (each, U_mm - halved_mm, halved_mm)
+        for each in budget.lines
+        for halved_mm in [budget.with_half(each.name).of_mean(error_mm)]
+        if each.u_mm
+    ]
+    rows.sort(key=itemgetter(1), reverse=True)
+    return Table(MEAN, rows, "Uncertainty of the mean, and how to make it smaller", note)
+
+
+MEAN: tuple[Column[tuple[Contribution, float, float]], ...] = (
+    Column("source", lambda row: row[0].name),
+    Column("averages", lambda row: "1/√n" if row[0].name == NOISE else "no"),
+    Column("halved by", lambda row: row[0].halved_by),
+    Column("U less by", lambda row: row[1], "mm", ".4f"),
+    Column("U then", lambda row: row[2], "mm", ".4f"),
+)
 
 
 def error_rows(budget: Budget) -> list[Row]:

@@ -189,7 +189,7 @@ class _Certificate:
         |e| of a target changes by no more than its position, so U of the largest is that of the
         95 % quantile, too.
         """
-        figures, guard = row.errors.figures, guard_band(self.facts.log, len(row.errors))
+        figures, guard = row.errors.figures, guard_band(self.facts.log, row.errors.error_mm)
         return [
             quantity("targets", len(row.errors), ONE, "hilcell_targets"),
             quantity("mean", figures.mean, MM, "hilcell_mean", guard.mean_mm, mean),

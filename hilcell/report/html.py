@@ -11,10 +11,10 @@ from hilcell.calibration.instrument import TWO_FACES
 from hilcell.calibration.measurement_budget import measurement_budget
 from hilcell.calibration.position_errors import places, validation
 from hilcell.cell.undetectable_errors import undetectable_errors
-from hilcell.model.point import CONTROL
+from hilcell.model.point import CONTROL, Sent
 from hilcell.present.renderers import environment
 from hilcell.present.table import Table
-from hilcell.report.budgets import budget_table, target_budget
+from hilcell.report.budgets import budget_table, mean_table, target_budget
 from hilcell.report.drawings.error_plots import ErrorPlots, strip, variance_bar
 from hilcell.report.drawings.figures import POSE_TEST, drawings
 from hilcell.report.drawings.views import plan_view, side_view
@@ -74,9 +74,8 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
         ErrorPlots(facts),
         PoseReport(facts),
     )
-    measured_here = is_pose_test(facts) or any(
-        validation(log, stations) for stations in places(cell).values()
-    )
+    validated = {name: validation(log, stations) for name, stations in places(cell).items()}
+    measured_here = is_pose_test(facts) or any(validated.values())
     own = Table((), ()) if measured_here else tables.own_table()  # the report has its own of them
     accuracy, judged, worst_ones = tables.accuracy(), tables.verdicts(), tables.worst(targets)
     judged_tables = [accuracy, tables.orientation(), tables.stations(), tables.touches()]
@@ -122,6 +121,10 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
         procedure_table=own,
         empty=not (own or accuracy or judged),
         budget_table=budget_table(budget, targets, hidden),
+        mean_table=mean_table(
+            budget,
+            {name: each[Sent.CHOSEN] for name, each in validated.items() if Sent.CHOSEN in each},
+        ),
         verdicts=judged,
         record_tables=[
             timeline(facts), tables.remeasured(), tables.devices(), tables.conditions(),

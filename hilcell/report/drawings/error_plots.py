@@ -13,6 +13,7 @@ from hilcell.calibration.from_run import calibration_so_far
 from hilcell.calibration.measurement_budget import control_moves
 from hilcell.calibration.position_errors import Errors, grid_errors, validation
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
+from hilcell.geometry.statistics import lengths_mm
 from hilcell.journal.log import run_noise
 from hilcell.model.events import CurveMeasured
 from hilcell.model.point import BOTH, Sent
@@ -457,9 +458,9 @@ class ErrorPlots:
         moves, time_axis = control_moves(facts.log), _Times(facts)
         if not moves:
             return ""
-        times, points = time_axis.times(), [point for point, _ in moves]
+        times, points = time_axis.times(), [each.now for each in moves]
         at_s = np.array([times[point.key] for point in points])
-        size_mm = np.array([float(np.linalg.norm(move)) for _, move in moves])
+        size_mm = lengths_mm([each.moved_mm for each in moves])
         limit_mm = float(
             np.median(watch.motion_limits_mm(facts.cell, run_noise(facts.log), points, points))
         )

@@ -154,7 +154,7 @@ def test_touch_poses_take_the_place_of_station_frame_and_strip(tmp_path: Path) -
 
 
 def line(estimate_mm: float, distribution: Distribution) -> Contribution:
-    return Contribution("it", estimate_mm, distribution, "somewhere", "somehow", "4.2")
+    return Contribution("it", estimate_mm, distribution, "somewhere", "somehow", "4.2", "more")
 
 
 @pytest.mark.parametrize(

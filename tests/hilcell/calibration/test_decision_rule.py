@@ -4,17 +4,19 @@ import math
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 
 from hilcell.calibration.decision_rule import Guard, check_limits, decide, guard_band
-from hilcell.calibration.measurement_budget import NOISE, measurement_budget
+from hilcell.calibration.measurement_budget import NOISE, common_motion_mm, measurement_budget
 from hilcell.calibration.position_errors import judged_places, places
 from hilcell.cell.file import load_cell
+from hilcell.geometry.statistics import chi2_quantile, lengths_mm
 from hilcell.model.outcome import Outcome
 from hilcell.model.point import PointId
 from hilcell.model.results import Decided
 from hilcell.model.verdicts import Judged, Limits, OrientationError
-from hilcell.ports import HilcellError
+from hilcell.ports import Array, HilcellError
 from procedures.validate import Validate
 from tests.hilcell.report.journals import Writer
 
@@ -122,13 +124,48 @@ def test_the_noise_of_readings_averages_and_nothing_else(tmp_path: Path) -> None
     budget = measurement_budget(log)
     assert budget is not None
     noise_mm = next(line.u_mm for line in budget.lines if line.name == NOISE)
-    one, many = guard_band(log, 1), guard_band(log, 100)
-    assert one.mean_mm == one.max_mm == many.max_mm == budget.U_mm
+    parallel_mm = np.tile([0.0, 5.0, 0.0], (100, 1))  # so all of a common motion is in the mean
+    one, many = guard_band(log, parallel_mm[:1]), guard_band(log, parallel_mm)
+    assert one.max_mm == many.max_mm == budget.U_mm
+    assert one.mean_mm == pytest.approx(budget.U_mm, rel=0.02)
     assert one.mean_mm**2 - many.mean_mm**2 == pytest.approx(4 * 0.99 * noise_mm**2)
     assert "World frame" in [line.name for line in budget.lines]
 
 
+ALL_WAYS = np.concatenate([np.eye(3), -np.eye(3)])
+
+
+@pytest.mark.parametrize(
+    ("errors_mm", "sigmas"),
+    [
+        # along one direction: normal; of no length: its own length, chi of 3 degrees of freedom
+        (np.tile([9.0, 0.0, 0.0], (5, 1)), 2.0),
+        (np.zeros((5, 3)), math.sqrt(chi2_quantile(1 - 0.02275, 3))),
+        # in all directions: of second order, |d|^2 / 3 by 1 / length
+        (9.0 * ALL_WAYS, chi2_quantile(1 - 0.02275, 3) * 0.02 / 3 / 9.0),
+        (np.full((5, 3), np.nan), math.nan),
+    ],
+)
+def test_a_motion_of_all_targets_acts_by_the_directions_of_their_errors(
+    errors_mm: Array, sigmas: float
+) -> None:
+    found_mm = common_motion_mm(errors_mm, 0.02)
+    assert found_mm == pytest.approx(0.02 * sigmas, rel=0.04, nan_ok=True)
+
+
+def test_u_of_a_mean_covers_the_true_mean() -> None:
+    rng, u_mm = np.random.default_rng(36), 0.02
+    for size_mm in (0.005, 0.02, 0.08):
+        beyond = 0
+        for _ in range(400):
+            measured_mm = size_mm * rng.standard_normal((32, 3))
+            true_mm = measured_mm + u_mm * rng.standard_normal(3)
+            off_mm = lengths_mm(true_mm).mean() - lengths_mm(measured_mm).mean()
+            beyond += abs(off_mm) > common_motion_mm(measured_mm, u_mm)
+        assert 1 <= beyond <= 21  # 9.1 are expected on the worse side
+
+
 def test_nothing_is_judged_without_a_world(tmp_path: Path) -> None:
     with pytest.raises(HilcellError) as caught:
-        guard_band(Writer(tmp_path / "none").began().facts().log, 3)
+        guard_band(Writer(tmp_path / "none").began().facts().log, np.ones((3, 3)))
     assert caught.value.code == "HC-C21"

@@ -24,7 +24,13 @@ from hilcell.calibration.iso9283 import (
     commanded_mm,
     interruptions,
 )
-from hilcell.calibration.measurement_budget import NOISE, WORLD, combined_mm, measurement_budget
+from hilcell.calibration.measurement_budget import (
+    CENTRED,
+    NOISE,
+    WORLD,
+    combined_mm,
+    measurement_budget,
+)
 from hilcell.calibration.position_errors import Errors
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import to_rotvec
@@ -282,7 +288,7 @@ def system_mm(log: Log, *without: str) -> float:
 
 def test_accuracy_is_as_uncertain_as_the_base_and_the_instruments(tmp_path: Path) -> None:
     log = four_cycles(tmp_path / "r")
-    found, u_mm = PoseTest.of(log).poses["P3"], system_mm(log, NOISE, WORLD)
+    found, u_mm = PoseTest.of(log).poses["P3"], system_mm(log, NOISE, WORLD, CENTRED)
     assert (found.ap_mm, found.rp_mm) == pytest.approx((1.0, 0.0), abs=1e-9)
     assert found.ap_u95_mm == pytest.approx(2.0 * np.hypot(SHIFT_MM, u_mm))
 
@@ -294,18 +300,18 @@ def test_accuracy_by_a_calibration_is_as_uncertain_as_the_world(
     log, used = four_cycles(tmp_path / "r"), SimpleNamespace(provenance=SimpleNamespace(latest="c"))
     monkeypatch.setattr("hilcell.calibration.iso9283.calibration_in", lambda _: used)
     found = PoseTest.of(log).poses["P3"]
-    assert system_mm(log, NOISE) > 1.01 * system_mm(log, NOISE, WORLD)
+    assert system_mm(log, NOISE) > 1.01 * system_mm(log, NOISE, WORLD, CENTRED)
     assert found.ap_u95_mm == pytest.approx(2.0 * system_mm(log, NOISE))
 
 
 def test_a_distance_has_the_instruments_uncertainty_at_both_ends(tmp_path: Path) -> None:
     log = four_cycles(tmp_path / "r")
     found = PoseTest.of(log).distance
-    assert found.ad_u95_mm == pytest.approx(2.0 * 2.0**0.5 * system_mm(log, NOISE, WORLD))
+    assert found.ad_u95_mm == pytest.approx(2.0 * 2.0**0.5 * system_mm(log, NOISE, WORLD, CENTRED))
 
 
 def test_the_scatter_of_a_mean_shrinks_with_its_cycles(tmp_path: Path) -> None:
     log = four_cycles(tmp_path / "r", spread_mm=0.3)
     s_mm = 0.3 * (4.0 / 3.0) ** 0.5
-    u_mm = np.sqrt(s_mm**2 / 4 + SHIFT_MM**2 + system_mm(log, NOISE, WORLD) ** 2)
+    u_mm = np.sqrt(s_mm**2 / 4 + SHIFT_MM**2 + system_mm(log, NOISE, WORLD, CENTRED) ** 2)
     assert PoseTest.of(log).poses["P3"].ap_u95_mm == pytest.approx(2.0 * u_mm)

@@ -1,6 +1,7 @@
 """Which contributions a journal proves, with figures worked out by hand."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -8,7 +9,8 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.influence import ASSUMED, MEASURED, Bounds, Part
-from hilcell.calibration.measurement_budget import Contribution, measurement_budget
+from hilcell.calibration.measurement_budget import NOISE, Contribution, measurement_budget
+from hilcell.calibration.position_errors import Errors
 from hilcell.cell.file import load_cell
 from hilcell.model.point import PointId
 from hilcell.report.budgets import (
@@ -17,6 +19,7 @@ from hilcell.report.budgets import (
     TARGET_SUM,
     budget_table,
     error_rows,
+    mean_table,
     target_budget,
     target_rows,
 )
@@ -67,7 +70,8 @@ def test_drift_is_what_the_floor_nests_moved(tmp_path: Path) -> None:
         writer.point(PointId("control", session=1, pass_number=turn, nest="F1"), at_mm)
     drift = lines_of(writer)["Drift"]
     assert drift.source == MEASURED
-    assert drift.u_mm == pytest.approx(0.03 / math.sqrt(3))
+    noise_mm2 = 2 * 0.01**2  # of both readings: it is a line of its own
+    assert drift.u_mm == pytest.approx(math.sqrt(0.03**2 / 3 - noise_mm2))
 
 
 def test_thermal_from_the_range_of_temperatures(tmp_path: Path) -> None:
@@ -114,3 +118,24 @@ def test_an_estimate_divided_gives_u() -> None:
     assert one.u_mm == pytest.approx(0.01), "of the three coordinates, root mean square"
     assert one.estimate == "0.0173"
     assert (everywhere.percent, one.percent) == pytest.approx((75.0, 25.0))
+
+
+def test_the_mean_s_table_says_what_averages_and_what_stays(tmp_path: Path) -> None:
+    writer = Writer(tmp_path / "r").began()
+    for n, nest in enumerate(("F1", "F2", "F3")):
+        writer.point(PointId("world", nest=nest), (1000.0 * n, 1000.0 * (n == 1), 0))
+    log = writer.facts().log
+    budget = measurement_budget(log)
+    assert budget is not None
+    few = Errors(np.zeros((4, 3)), np.tile([5.0, 0.0, 0.0], (4, 1)))
+    table = mean_table(budget, {"S300": few, "others": replace(few, error_mm=few.error_mm * 2)})
+    then_mm = {name: then for name, *_, then in table.rows}
+    lines = {line.name: line for line in budget.lines if line.u_mm}
+    assert set(then_mm) == set(lines)
+    whole_mm = budget.of_mean(few.error_mm)
+    for name, line in lines.items():
+        share = 1 / 4 if name == NOISE else 1.0  # of the variance that is in a mean of 4
+        wanted_mm2 = whole_mm**2 - 4 * share * 0.75 * line.u_mm**2
+        assert then_mm[name] == pytest.approx(math.sqrt(wanted_mm2), rel=0.01)
+    assert not mean_table(budget, {}).rows
+    assert not mean_table(None, {"S300": few}).rows

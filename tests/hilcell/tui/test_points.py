@@ -33,6 +33,8 @@ from tests.hilcell.tui.views import cells, drawn
 
 ROTATION_DEG = 37.0
 
+ONE_MM = np.ones((1, 3))  # an error
+
 
 def log_of(story: SampleRun) -> Log:
     return Log(story.records)
@@ -190,7 +192,7 @@ def test_only_bad_ones() -> None:
 def test_a_point_within_its_uncertainty_of_the_limit_is_neither_in_nor_out() -> None:
     """The screen said of it that it is in tolerance, the verdict that it is undecided."""
     log = log_of(validated())
-    U_mm, limit_mm = guard_band(log, 1).max_mm, log.cell.validation.max_tolerance_mm
+    U_mm, limit_mm = guard_band(log, ONE_MM).max_mm, log.cell.validation.max_tolerance_mm
     point = log.points["validate/S1100/chosen/000"]
     places = {"ok": limit_mm - 1.1 * U_mm, "out": limit_mm + U_mm}
     places["undecided"] = limit_mm - 0.9 * U_mm
@@ -318,5 +320,5 @@ def test_at_the_end_all_rows_are_judged_by_the_u_of_the_verdict() -> None:
     log.take(story.state("finished").add("end", state="finished", exit=0, result={}).records[-1])
     judged = [row.deviation for row in rows.rows(log) if row.deviation and row.deviation.limit_mm]
     assert len(judged) == 6
-    assert {each.U_mm for each in judged} == {guard_band(log, 1).max_mm}
-    assert early != {guard_band(log, 1).max_mm}
+    assert {each.U_mm for each in judged} == {guard_band(log, ONE_MM).max_mm}
+    assert early != {guard_band(log, ONE_MM).max_mm}
