@@ -1,11 +1,11 @@
 """Loads of revolute axes by the arm's own weight and by a tool's, under which they deflect.
 
-Gravity acts along the base's z, up or down. A link whose mass lies on its line loads an axis behind
-it by the cosine of its slope against the horizontal; mass beside the line adds the sine. Of six
-revolute joints, on prismatic ones or not, axes 2 and 3 bear upper arm and forearm. Other chains are
-not divided so: each axis bears every link before it, by cosines. A tool loads every axis, by a
-lever to the flange and one from there to its unknown centre of mass: one coefficient for each
-coordinate. A coefficient is a joint's deflection (rad) at the greatest load.
+Gravity acts along the first revolute axis, up or down. A link whose mass lies on its line loads an
+axis behind it by the cosine of its slope against the horizontal; mass beside the line adds the
+sine. Of six revolute joints, on prismatic ones or not, axes 2 and 3 bear upper arm and forearm.
+Other chains are not divided so: each axis bears every link before it, by cosines. A tool loads
+every axis, by a lever to the flange and one from there to its unknown centre of mass: one
+coefficient for each coordinate. A coefficient is a joint's deflection (rad) at the greatest load.
 """
 
 from __future__ import annotations
@@ -95,9 +95,13 @@ def _all_bearings(arm: Arm, frames: list[Array]) -> Array:
 
 
 def _frames(arm: Arm, joints_rad: Array) -> list[Array]:
-    """Return the frames (..., 4, 4) of base and rows."""
-    links = link_transforms(arm, joints_rad)
-    frames = [np.broadcast_to(np.eye(4), links[..., 0, :, :].shape)]
+    """Return the frames (..., 4, 4) of base and rows, seen with the first revolute axis upright."""
+    links, upright = link_transforms(arm, joints_rad), np.eye(4)
+    below = min(_revolute(arm), default=0)
+    for link in link_transforms(arm, np.zeros(len(arm)))[:below]:
+        upright = upright @ link
+    upright[:3, :3], upright[:3, 3] = upright[:3, :3].T, 0.0
+    frames = [np.broadcast_to(upright, links[..., 0, :, :].shape)]
     for row in range(len(arm)):
         frames.append(frames[-1] @ links[..., row, :, :])
     return frames

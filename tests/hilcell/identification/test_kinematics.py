@@ -108,7 +108,7 @@ def test_gravity_loads_a_horizontal_link_most(axis: int) -> None:
     np.testing.assert_allclose(np.abs(own), [1.0, 0.0] * (len(own) // 2), atol=1e-9)
 
 
-RAIL = Arm(
+CARRIED = Arm(
     a_mm=np.array([0.0, *ARM.a_mm]),
     alpha_rad=np.array([0.0, *ARM.alpha_rad]),
     d_mm=np.array([0.0, *ARM.d_mm]),
@@ -118,14 +118,16 @@ RAIL = Arm(
     beta_rad=np.zeros(7),
     prismatic=(0,),
 )
-"""`ARM` on a column along its axis 1."""
+"""`ARM` on a prismatic joint."""
 
 
-def test_weight_loads_an_arm_on_a_column_as_one_on_the_floor() -> None:
+@pytest.mark.parametrize("tilt_rad", [0.0, np.pi / 2], ids=["column", "rail"])
+def test_weight_loads_an_arm_on_a_column_or_rail_as_one_on_the_floor(tilt_rad: float) -> None:
     joints = np.random.default_rng(1).uniform(-1.0, 1.0, (5, 7))
+    carried = replace(CARRIED, alpha_rad=np.array([tilt_rad, *ARM.alpha_rad]))
     for loads, basis in ((gravity_loads, gravity_basis), (tool_loads, tool_basis)):
-        assert loads(RAIL) == [(axis + 1, load) for axis, load in loads(ARM)]
-        np.testing.assert_allclose(basis(RAIL, joints), basis(ARM, joints[:, 1:]), atol=1e-12)
+        assert loads(carried) == [(axis + 1, load) for axis, load in loads(ARM)]
+        np.testing.assert_allclose(basis(carried, joints), basis(ARM, joints[:, 1:]), atol=1e-12)
 
 
 def test_weight_loads_each_axis_of_other_chains_by_the_links_before_it() -> None:
