@@ -414,10 +414,12 @@ def driven_poses(
 def _bounds(
     calibration: Calibration, station: str, poses: Array, lines: Sequence[Influence]
 ) -> Bounds:
+    """Bounds at the drill where the lines have one, else at the reflector."""
     T_W_B = calibration.base(station)
     model_mm2 = calibration.error_model().predict(inverse(T_W_B) @ poses).covariance_mm2
     samples = calibration.budget.model_samples
-    return combined_bounds(model_mm2, lines, T_W_B, poses, samples)
+    drills = [-np.array(line.origin_mm) for line in lines if line.name == DRILL]
+    return combined_bounds(model_mm2, lines, T_W_B, poses, samples, drills[0] if drills else None)
 
 
 @dataclass(frozen=True, eq=False)

@@ -166,18 +166,25 @@ def combined_bounds(
     T_W_B: Array,
     poses: Array,
     model_samples: int | None = None,
+    drill_mm: Array | None = None,
 ) -> Bounds:
-    """Bounds of targets at poses (N, 4, 4) in {W}.
+    """Bounds of targets at poses (N, 4, 4) of the reflector in {W}.
 
+    ``drill_mm`` (3,): working point in {T}, None: the reflector. A rotation of a frame of {W} acts
+    at its lever to the working point; that of the arm is the drill's own line, and the arm's growth
+    lengthens no tool.
     ``model_mm2`` (N, 3, 3): the error model's covariance in {B}, which is at ``T_W_B``; its
     residual was estimated from ``model_samples`` different poses, None: known.
     """
     R = T_W_B[:3, :3]
     frames = {"world": np.eye(4), "base": T_W_B, "tool": poses}
+    places_mm = dict.fromkeys(frames, poses[:, :3, 3])
+    if drill_mm is not None:
+        places_mm["world"] = poses[:, :3, 3] + poses[:, :3, :3] @ drill_mm
     parts = [
         Part(
             each.name, each.source, each.how, each.clause,
-            each.at(frames[each.frame], poses[:, :3, 3]),
+            each.at(frames[each.frame], places_mm[each.frame]),
             math.inf if each.freedom is None else each.freedom,
         )
         for each in influences

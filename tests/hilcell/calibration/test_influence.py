@@ -90,6 +90,27 @@ def test_parts_add_up_and_the_model_s_turns_with_the_base() -> None:
     assert found.parts[1].u_mm == pytest.approx(1.0)
 
 
+def test_a_frame_s_rotation_acts_at_the_drill_and_not_at_the_reflector() -> None:
+    """By finite differences: poses are moved as a whole, with the drill on them."""
+    rng, drill_mm, origin_mm = np.random.default_rng(8), np.array([30.0, -40.0, 500.0]), (9.0, 8, 7)
+    root = rng.standard_normal((6, 6)) * np.array([[1e-2] * 3 + [4e-5] * 3]).T
+    frame = influence(moved_frame(root @ root.T), origin_mm=origin_mm)
+    poses = np.stack([pose_from_zyx(100, 200, 300, *zyx) for zyx in ((0, 0, 0), (20, 80, -130))])
+    tips_mm = poses[:, :3, 3] + poses[:, :3, :3] @ drill_mm
+    step = 1e-6
+    J = np.zeros((2, 3, 6))
+    for axis in range(3):
+        J[:, axis, axis] = 1.0
+        R = from_rotvec(step * np.eye(3)[axis])
+        moved_mm = (tips_mm - origin_mm) @ R.T + origin_mm
+        J[:, :, 3 + axis] = (moved_mm - tips_mm) / step
+    found = combined_bounds(np.zeros((2, 3, 3)), [frame], np.eye(4), poses, drill_mm=drill_mm)
+    wanted_mm2 = J @ root @ root.T @ np.swapaxes(J, 1, 2)
+    np.testing.assert_allclose(found.covariance_mm2, wanted_mm2, rtol=1e-5, atol=1e-7)
+    without = combined_bounds(np.zeros((2, 3, 3)), [frame], np.eye(4), poses)
+    assert (np.abs(found.covariance_mm2 - without.covariance_mm2).max(axis=(1, 2)) > 1e-5).all()
+
+
 def test_few_samples_widen_the_bound() -> None:
     def bound(freedom: float) -> float:
         part = Part("it", MEASURED, "", "", np.eye(3)[None], freedom)
