@@ -134,12 +134,10 @@ def write_urdf(
     root = fitted.T_L_B @ inverse(robot.base)
     rpy_rad = np.radians(zyx_from_pose(root)[:2:-1])
     placed = f"{_numbers(root[:3, 3])}; {_numbers(rpy_rad * 1000.0)}"
-    against = "+" if robot.arm.coupling > 0.0 else "-"
-    coupled = [f"Joint 3 is the axis's angle, J3 {against} J2 of the controller."]
     comment = [
         f"Calibrated by hilcell {__version__}: joint origins only. {remarks[0]}",
         *remarks[1:],
-        *(coupled if robot.arm.coupling else []),
+        *_coupled(robot.arm),
         f"Root link in the tracker's frame, xyz in m, rpy in rad: {placed}",
         *(
             f"Reflector {clean(label)} in the tip link, in m: {_numbers(point)}"
@@ -151,6 +149,14 @@ def write_urdf(
     else:
         content = urdf_of(robot.name, chain, comment)
     write_whole(path, content, inputs=inputs)
+
+
+def _coupled(arm: Arm) -> list[str]:
+    if not arm.coupling:
+        return []
+    second, third = (row + 1 for row in arm.coupled_rows)
+    against = "+" if arm.coupling > 0.0 else "-"
+    return [f"Joint {third} is the axis's angle, J{third} {against} J{second} of the controller."]
 
 
 def _numbers(values_mm: Array) -> str:

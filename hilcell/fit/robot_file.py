@@ -60,8 +60,8 @@ class Robot:
         Standard row n is ``Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha)``, a modified one
         ``Rx(alpha) Tx(a) Rz(sign q + offset) Tz(d)``. ``sign`` (n,) is -1 for a joint that counts
         backwards, ``prismatic`` (n,) true for one that shifts by sign q, added to d. ``coupling``
-        is 1 or -1 where a motion of joint 2 alone turns axis 3 as well, with or against it. Raises
-        `ValueError`.
+        is 1 or -1 where a motion of joint 2 alone turns axis 3 as well, with or against it; only
+        revolute joints count as 2 and 3. Raises `ValueError`.
         """
         dh = np.array(rows, dtype=float)
         count = len(dh)
@@ -110,8 +110,9 @@ def coupled(arm: Arm, coupling: float) -> Arm:
     """The arm with a coupled axis 3; raises `ValueError`."""
     if coupling not in (-1.0, 0.0, 1.0):
         raise ValueError(f"coupling: expected 1 or -1, got {coupling:g}")
-    if coupling and not (len(arm) > 2 and arm.turning[1:3].all()):
-        raise ValueError("coupling: expected revolute joints 2 and 3")
+    revolute = len(arm) - len(arm.prismatic)
+    if coupling and revolute < 3:
+        raise ValueError(f"coupling: expected at least 3 revolute joints, got {revolute}")
     return replace(arm, coupling=float(coupling))
 
 

@@ -329,7 +329,8 @@ def joint_jacobian(arm: Arm, joints_rad: ArrayLike) -> Array:
         columns.append(np.concatenate([shift, turn], axis=-1))
         frame = frame @ links[..., row, :, :]
     if arm.coupling:
-        columns[1] = columns[1] + arm.coupling * columns[2]
+        second, third = arm.coupled_rows
+        columns[second] = columns[second] + arm.coupling * columns[third]
     return np.stack(columns, axis=-1)
 
 

@@ -35,7 +35,8 @@ class Arm:
 
     ``prismatic``: rows, from 0, whose joint is prismatic.
     ``coupling``: turns of axis 3 by one turn of the controller's joint 2 alone; 0, 1 or -1, so that
-    whole turns of a joint leave the pose as it is.
+    whole turns of a joint leave the pose as it is. These are the second and the third revolute
+    joint, the arm's own where it stands on prismatic ones.
     """
 
     a_mm: Array
@@ -75,12 +76,18 @@ class Arm:
         """The same arm with joints that are the `angles` of its axes."""
         return replace(self, coupling=0.0) if self.coupling else self
 
-    @staticmethod
-    def _coupled(values_rad: Array, coupling: float) -> Array:
+    @cached_property
+    def coupled_rows(self) -> tuple[int, int]:
+        """Rows, from 0, of the axes 2 and 3 of ``coupling``."""
+        _, second, third, *_ = np.flatnonzero(self.turning).tolist()
+        return second, third
+
+    def _coupled(self, values_rad: Array, coupling: float) -> Array:
         if not coupling:
             return values_rad
+        second, third = self.coupled_rows
         turned = values_rad.copy()
-        turned[..., 2] += coupling * values_rad[..., 1]
+        turned[..., third] += coupling * values_rad[..., second]
         return turned
 
     @cached_property

@@ -285,7 +285,7 @@ def test_rows_have_no_links(tmp_path: Path, named: tuple[Any, ...]) -> None:
 
 def test_a_coupling_is_of_revolute_joints(written: Write) -> None:
     assert read_robot(written(IRB120), coupling=-1.0).arm.coupling == -1.0
-    with pytest.raises(SettingsError, match="revolute joints 2 and 3"):
+    with pytest.raises(SettingsError, match="at least 3 revolute joints, got 2"):
         read_robot(written(IRB120), "link_3", "link_1", 1.0)
 
 
