@@ -15,6 +15,7 @@ from hilcell.calibration.decision_rule import (
     class_warning,
     decide,
     guard_band,
+    mean_warning,
     tolerance_limits,
 )
 from hilcell.calibration.from_run import learnt_so_far
@@ -96,7 +97,9 @@ class Validate:
                 points += count
             here = station
         found = PlannedStep.of_spans(self.name, points, spans)
-        return dataclasses.replace(found, warning=class_warning(cell, min(ranges_mm)))
+        return dataclasses.replace(
+            found, warning=class_warning(cell, min(ranges_mm)) or mean_warning(cell)
+        )
 
     def perform(self, session: CellSession) -> None:
         cell, measured = session.cell, measured_errors(session.log)

@@ -9,9 +9,11 @@ from pathlib import Path
 import pytest
 
 from hilcell.arguments import HOLES, TARGETS
+from hilcell.cell.file import load_cell
 from hilcell.compensation.targets import COLUMN, HEADER
 from hilcell.programs.corrected import BOUNDS
 from hilcell.programs.holes import NORMALS
+from procedures.calibrate import CALIBRATE
 
 ROOT = Path(__file__).parents[1]
 NEIGHBOURS = ("drivers", "procedures", "fakes")
@@ -44,6 +46,15 @@ def test_a_header_stands_in_the_manual(header: list[str]) -> None:
 def test_the_help_says_the_headers_of_lists() -> None:
     assert ",".join(HEADER) == TARGETS
     assert ",".join(NORMALS) in HOLES
+
+
+def test_the_minutes_of_a_calibration_are_those_that_are_planned() -> None:
+    page = (ROOT / "docs/first-cell.md").read_text("utf-8")
+    said = re.search(r"About (\d+) minutes; (\d+) with `--full`", page)
+    assert said is not None
+    for minutes, quick in zip(said.groups(), ("true", "false"), strict=True):
+        plan = CALIBRATE.plan(load_cell("paper", {"plan.quick": quick}), 1)
+        assert float(minutes) == pytest.approx(plan.duration_s / 60, rel=0.1), "docs/first-cell.md"
 
 
 def room_of(module: str) -> str:

@@ -12,13 +12,17 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
 from msgspec.structs import replace
 
-from hilcell.calibration.measurement_budget import expanded_mm, measurement_budget
+from hilcell.calibration.frames import nest_leverage
+from hilcell.calibration.measurement_budget import common_motion_mm, expanded_mm, measurement_budget
 from hilcell.cell.devices import tracker_accuracy
 from hilcell.cell.file import Cell
+from hilcell.geometry.frames import apply
 from hilcell.geometry.statistics import figures_of, lengths_mm, rectangular_variance
 from hilcell.journal.log import Log
+from hilcell.journal.previous_reference import FLOOR_NESTS
 from hilcell.model.outcome import Outcome, gravest
 from hilcell.model.results import Decided
 from hilcell.model.verdicts import Judged, Limits, OrientationError
@@ -84,6 +88,41 @@ def class_warning(cell: Cell, range_mm: float) -> str:
         f'the run ends "undecided" or out of tolerance (exit 1). State tracker.samples {enough} or '
         f"more, a tolerance above {least_mm:.2f} mm with room for the robot's error, or a finer "
         "instrument"
+    )
+
+
+def least_mean_mm(cell: Cell) -> float:
+    """Least mean tolerance that could be proven with the cell's plan (mm): an error that is the
+    robot's stated repeatability alone, and its U by what is stated before anything is measured.
+
+    {W} as the floor nests span it, at the middle of the cube at the grid's station. No noise, drift
+    or thermal expansion: a real run needs more.
+    """
+    centring_mm2 = rectangular_variance(cell.uncertainty.smr_centring_limit_mm)
+    nests_mm = np.array([nest.xyz_mm for nest in cell.layout.floor[:FLOOR_NESTS]])
+    T_W_B = cell.layout.nominal_base(cell.reference.strip_mm)
+    at_mm = apply(T_W_B, cell.grid.centre.matrix()[None, :3, 3])[0]
+    world_mm2 = centring_mm2 * nest_leverage(nests_mm, at_mm)
+    count = cell.plan.most_targets if cell.plan.quick else cell.validation.others
+    rp_over_sigma = 3.615  # RP = mean + 3 s, of distances whose coordinates are normal
+    errors_mm = np.random.default_rng(9283).standard_normal((count, 3))
+    errors_mm *= (cell.robot.rp_mm or 0.0) / rp_over_sigma
+    guard_mm = common_motion_mm(errors_mm, math.sqrt(stated_mm2(cell) + world_mm2))
+    return float(lengths_mm(errors_mm).mean()) + guard_mm
+
+
+def mean_warning(cell: Cell) -> str:
+    """Why no mean could be proven to be in tolerance with the cell's plan, or ""."""
+    limit_mm, least_mm = cell.validation.mean_tolerance_mm, least_mean_mm(cell)
+    if limit_mm > least_mm:
+        return ""
+    stated = cell.uncertainty
+    return (
+        f"no mean can be proven to be within validation.mean_tolerance_mm {limit_mm:g}: the least "
+        f"that can is {least_mm:.3f} mm, by the robot's repeatability and the U of the mean (k = "
+        f"2) of the tracker's limit {stated.tracker_limit_mm:g} mm and the reflector's centring "
+        f"{stated.smr_centring_limit_mm:g} mm, at the target and in the floor nests; more targets "
+        "do not help. State a larger tolerance, or smaller limits by certificates"
     )
 
 

@@ -183,6 +183,16 @@ def world_as_framed(log: Log, *, centred: bool = False) -> Array | None:
     return world_covariance(log, np.zeros(3), rectangular_variance(limit_mm))
 
 
+def nest_leverage(nests_mm: Array, at_mm: Array) -> float:
+    """Variance of a coordinate at ``at_mm`` (3,) in {W}, mean of three, by an independent one of 1
+    of each coordinate of the three nests (3, 3) that span {W}.
+    """
+    step_mm = 1e-3
+    moved = nests_mm + step_mm * np.eye(nests_mm.size).reshape(-1, *nests_mm.shape)
+    T = three_point_frame(*nests_mm) @ inverse(three_point_frames(moved))
+    return float(np.square((apply_each(T, at_mm) - at_mm) / step_mm).sum() / 3.0)
+
+
 def world_motion(log: Log, at_mm: Array, nest: int, step_mm: Array) -> Array:
     """Motion (6,) in {W} at ``at_mm`` by a nest's ``step_mm`` (3,), tracker's frame."""
     steps_mm = np.zeros((1, FLOOR_NESTS, 3))

@@ -15,6 +15,7 @@ from typing import Any
 
 from hilcell.alarms.catalogue import entry_of
 from hilcell.atomic_files import as_not_written, write_together
+from hilcell.calibration.decision_rule import least_mean_mm
 from hilcell.cell.devices import (
     abilities,
     check_options,
@@ -131,6 +132,7 @@ def check(args: Check) -> int:
         "duration_s": plan.duration_s,
         "notes": notes,
         "warnings": plan.warnings,
+        "least_mean_tolerance_mm": round(least_mean_mm(cell), 4),
         "unseen": undetectable,
         "ok": True,
     }

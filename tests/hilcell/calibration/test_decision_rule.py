@@ -7,7 +7,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.decision_rule import Guard, check_limits, decide, guard_band
+from hilcell.calibration.decision_rule import (
+    Guard,
+    check_limits,
+    decide,
+    guard_band,
+    least_mean_mm,
+    mean_warning,
+)  # fmt: skip
+from hilcell.calibration.frames import nest_leverage
 from hilcell.calibration.measurement_budget import NOISE, common_motion_mm, measurement_budget
 from hilcell.calibration.position_errors import judged_places, places
 from hilcell.cell.file import load_cell
@@ -163,6 +171,20 @@ def test_u_of_a_mean_covers_the_true_mean() -> None:
             off_mm = lengths_mm(true_mm).mean() - lengths_mm(measured_mm).mean()
             beyond += abs(off_mm) > common_motion_mm(measured_mm, u_mm)
         assert 1 <= beyond <= 21  # 9.1 are expected on the worse side
+
+
+def test_the_least_mean_tolerance_is_accepted_where_only_stated_errors_are_left() -> None:
+    """At the first floor nest {W} has that nest's centring alone, two coordinates of it by x, y."""
+    nests_mm = np.array([[0.0, 0.0, 0.0], [2000.0, 0.0, 0.0], [0.0, 1500.0, 0.0]])
+    assert nest_leverage(nests_mm, np.zeros(3)) == pytest.approx(1.0, rel=1e-5)
+    beside = nest_leverage(nests_mm, np.array([0.0, 0.0, 1500.0]))
+    turned = 2 * (1500 / 2000) ** 2 + 2 * (1500 / 1500) ** 2  # y by two nests, x by two
+    assert beside == pytest.approx(1.0 + turned / 3, rel=1e-5)
+    cell = load_cell("paper")
+    least_mm = least_mean_mm(cell)
+    for factor, warned in ((0.99, True), (1.01, False)):
+        changed = load_cell("paper", {"validation.mean_tolerance_mm": str(factor * least_mm)})
+        assert bool(mean_warning(changed)) is warned
 
 
 def test_nothing_is_judged_without_a_world(tmp_path: Path) -> None:

@@ -135,6 +135,25 @@ def test_an_instrument_whose_class_leaves_no_room_is_a_warning_and_no_refusal(
         assert warned in " ".join(done.stderr.split())
 
 
+@pytest.mark.parametrize(
+    ("settings", "least_mm", "warned"),
+    [
+        (["validation.mean_tolerance_mm=0.05"], 0.053, True),
+        (["validation.mean_tolerance_mm=0.055"], 0.053, False),
+        (["validation.mean_tolerance_mm=0.05", "uncertainty.smr_centring_limit_mm=0.003"],
+         0.0375, False),
+    ],
+)  # fmt: skip
+def test_a_mean_tolerance_that_cannot_be_proven_is_a_warning_with_the_least_that_can(
+    settings: list[str], least_mm: float, warned: bool
+) -> None:
+    done = command("check", "paper", "--json", *(w for s in settings for w in ("--set", s)))
+    found = json.loads(done.stdout)
+    assert found["least_mean_tolerance_mm"] == pytest.approx(least_mm, abs=0.002)
+    assert (done.returncode, len(found["warnings"])) == (0, warned)
+    assert all(f"{found['least_mean_tolerance_mm']:.3f} mm" in each for each in found["warnings"])
+
+
 def test_problems_stand_in_the_order_of_their_lines(cell: Path, text: str) -> None:
     spoilt = text.replace('driver = "canopen"', 'driver = "canopn"').replace("pitch_mm", "pitch")
     cell.write_text(f"{spoilt}\n[survey]\nfrom_mm = 'x'\nto_mm = 'y'\n", "utf-8")
