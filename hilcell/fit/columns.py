@@ -22,7 +22,6 @@ ANGLES = {"deg": pi / 180.0, "rad": 1.0}  # in rad
 JOINTS = tuple(f"j{n}" for n in range(1, 10))
 POSITION = ("x", "y", "z")
 WEIGHTS = ("u_x", "u_y", "u_z")
-RANGE = ("anchor", "distance")
 TEXTS = ("pose", "target", "anchor")
 ZYX = ("a", "b", "c")
 ORIENTATIONS = {
@@ -114,7 +113,7 @@ class Columns:
         """The columns of a header; ``names``: foreign names by ours. Raises `ValueError`."""
         found, ignored = _found(header, names)
         own = found.pop("", {})
-        if {*POSITION, *RANGE} & {*own}:  # of other positions, such as nominal ones
+        if {*POSITION, "distance"} & {*own}:  # of other positions, such as nominal ones
             ignored += [each.name for group in found.values() for each in group.values()]
             found.clear()
         kinds = [kind for kind, each in ORIENTATIONS.items() if {*each} <= {*own}]
@@ -228,7 +227,7 @@ def _missing(own: ByQuantity, groups: Mapping[str, ByQuantity]) -> list[str]:
     last = max((JOINTS.index(each) for each in JOINTS if each in own), default=0)
     wanted = [*JOINTS[: last + 1]]
     if not groups:
-        wanted += RANGE if {*RANGE} & {*own} else POSITION
+        wanted += () if "distance" in own else POSITION
     for quantities in ORIENTATIONS.values():
         wanted += quantities if {*quantities} & {*own} else ()
     missing = [_full(each) for each in wanted if each not in own]
@@ -242,6 +241,11 @@ def _full(quantity: str) -> str:
 
 
 def _refuse_double(own: ByQuantity, groups: Mapping[str, ByQuantity]) -> None:
+    if "distance" in own and "x" in own:
+        raise ValueError(f"{own['distance'].name} and {own['x'].name}: expected one of them")
+    turned = [own[each] for kind in ORIENTATIONS.values() for each in kind if each in own]
+    if "distance" in own and turned:
+        raise ValueError(f"{turned[0].name} of a distance: orientations need positions")
     if "target" in own and groups:
         raise ValueError(f"the rows ({own['target'].name}) and columns both name reflectors")
     for group in (own, *groups.values()):

@@ -36,6 +36,9 @@ class Measurements:
     ``lines`` (N) in it. ``covariance_mm2`` (N, 3, 3): of the positions, where known; ``R``
     (N, 3, 3): orientations of the measured body in the tracker's frame, NaN where not measured, and
     ``u_rad`` (N,) their standard uncertainties, where known.
+
+    Of distances, ``distance_mm`` (N,) from fixed points named by ``anchor`` (N), positions are NaN
+    until `hilcell.fit.ranges.located`; then they are known ``along`` (N, 3) alone, unit vectors.
     """
 
     pose: list[str]
@@ -47,6 +50,9 @@ class Measurements:
     covariance_mm2: Array | None = None
     R: Array | None = None
     u_rad: Array | None = None
+    anchor: Sequence[str] = ()
+    distance_mm: Array | None = None
+    along: Array | None = None
 
     @classmethod
     def from_arrays(
@@ -98,14 +104,20 @@ class Measurements:
 
     def once(self) -> Measurements:
         """The rows without duplicates: no reading repeats joints and position exactly."""
-        values = np.column_stack([self.joints_rad, self.xyz_mm]).tolist()
+        measured = self.xyz_mm if self.distance_mm is None else self.distance_mm
+        values = np.column_stack([self.joints_rad, measured]).tolist()
         first: dict[tuple[object, ...], int] = {}
         for n, (target, row) in enumerate(zip(self.target, values, strict=True)):
-            first.setdefault((target, *row), n)
+            anchor = self.anchor[n] if self.anchor else ""
+            first.setdefault((target, anchor, *row), n)
         return self.at(first.values())
 
     def at(self, rows: Iterable[int]) -> Measurements:
         chosen = list(rows)
+
+        def taken(values: Array | None) -> Array | None:
+            return None if values is None else values[chosen]
+
         return Measurements(
             [self.pose[n] for n in chosen],
             [self.target[n] for n in chosen],
@@ -113,10 +125,26 @@ class Measurements:
             self.xyz_mm[chosen],
             self.source,
             [self.lines[n] for n in chosen] if self.lines else (),
-            None if self.covariance_mm2 is None else self.covariance_mm2[chosen],
-            None if self.R is None else self.R[chosen],
-            None if self.u_rad is None else self.u_rad[chosen],
+            taken(self.covariance_mm2),
+            taken(self.R),
+            taken(self.u_rad),
+            [self.anchor[n] for n in chosen] if self.anchor else (),
+            taken(self.distance_mm),
+            taken(self.along),
         )
+
+    def seen_mm(self, missed_mm: Array) -> Array:
+        """What the rows tell of misses (N, 3): of distances, the part along them."""
+        if self.along is None:
+            return missed_mm
+        return np.asarray(np.sum(missed_mm * self.along, axis=1, keepdims=True) * self.along)
+
+    def seen_mm2(self, covariance_mm2: Array) -> Array:
+        """The same of covariances (N, 3, 3)."""
+        if self.along is None:
+            return covariance_mm2
+        seen = self.along[:, :, None] * self.along[:, None, :]
+        return np.asarray(seen @ covariance_mm2 @ seen)
 
     def joined(self, others: Measurements) -> Measurements:
         """These rows and others, without their orientations."""
@@ -137,11 +165,12 @@ class Measurements:
     @property
     def counted(self) -> str:
         """The counts of rows and poses, and the reflectors, as text."""
-        names = sorted(set(self.target))
-        return (
-            f"{counted(len(self), 'row')}, {counted(count_poses(self.joints_rad), 'pose')}, "
-            f"reflector{'s' * (len(names) > 1)} {shortened(names)}"
-        )
+        parts = [counted(len(self), "row"), counted(count_poses(self.joints_rad), "pose")]
+        for what, labels in (("reflector", self.target), ("anchor", self.anchor)):
+            names = sorted(set(labels))
+            if names:
+                parts.append(f"{what}{'s' * (len(names) > 1)} {shortened(names)}")
+        return ", ".join(parts)
 
 
 def read_measurements(
@@ -183,16 +212,19 @@ def read_measurements(
 
 
 class _Row(NamedTuple):
-    """A reading of a list, in mm and rad; ``turn`` by the columns of its orientation."""
+    """A reading of a list, in mm and rad: a position or a distance; ``turn`` by the columns of its
+    orientation.
+    """
 
     line: int
     pose: str
     target: str
     joints: list[float]
-    xyz_mm: list[float]
+    measured_mm: list[float]
     u_mm: list[float]
     turn: list[float]
     u_rad: float
+    anchor: str
 
 
 def _layout(path: Path, text: CsvText, names: Mapping[str, str]) -> Columns:
@@ -238,14 +270,19 @@ def _rows(columns: Columns, text: CsvText, line: int, cells: list[str]) -> list[
         raise ValueError(f"quaternion of length {math.hypot(*turn):.4g}, expected 1")
     u_rad = values.u(own["u_turn"]) if turn and "u_turn" in own else math.nan
     rows = []
+    of_range = "distance" in own
+    anchor = values.label(own["anchor"]) if of_range and "anchor" in own else ""
     for name, group in columns.groups.items() or [("", own)]:
-        places = [group[each] for each in POSITION]
+        places = [own["distance"]] if of_range else [group[each] for each in POSITION]
         if not values.given(places):
             continue
         target = name or (values.label(own["target"]) if "target" in own else REFLECTOR)
         weights = group if {"u", *WEIGHTS} & {*group} else own
         u_mm = [values.u(weights.get(each, weights.get("u"))) for each in WEIGHTS]
-        rows.append(_Row(line, pose, target, joints, values.all(places), u_mm, turn, u_rad))
+        measured = values.all(places)
+        if of_range and not measured[0] > 0.0:
+            raise ValueError(f"{places[0].name} is {measured[0]:g}, expected more than 0")
+        rows.append(_Row(line, pose, target, joints, measured, u_mm, turn, u_rad, anchor))
         turn = []  # of a wide list's pose: it counts once
     return rows
 
@@ -283,6 +320,7 @@ class _Values:
 
 def _measurements(rows: list[_Row], columns: Columns, source: str) -> Measurements:
     u_mm, R = np.array([row.u_mm for row in rows]), None
+    measured_mm, of_range = np.array([row.measured_mm for row in rows]), "distance" in columns.own
     first: dict[tuple[float, ...], int] = {}
     if columns.orientation:
         size = len(ORIENTATIONS[columns.orientation])
@@ -292,12 +330,14 @@ def _measurements(rows: list[_Row], columns: Columns, source: str) -> Measuremen
         [row.pose or str(first.setdefault(tuple(row.joints), row.line)) for row in rows],
         [row.target for row in rows],
         np.array([row.joints for row in rows]),
-        np.array([row.xyz_mm for row in rows]),
+        np.full((len(rows), 3), np.nan) if of_range else measured_mm,
         source,
         [row.line for row in rows],
         covariance_mm2=None if np.isnan(u_mm).any() else u_mm[:, :, None] ** 2 * np.eye(3),
         R=R,
         u_rad=np.array([row.u_rad for row in rows]) if "u_turn" in columns.own else None,
+        anchor=[row.anchor for row in rows] if of_range else (),
+        distance_mm=measured_mm[:, 0] if of_range else None,
     )
 
 

@@ -28,7 +28,9 @@ from hilcell.fit.placement import (
     refuse_another_robot,
     refuse_unknown_targets,
 )
+from hilcell.fit.ranges import located
 from hilcell.fit.refusals import (
+    no_positions,
     rare_target,
     refuse_absurd,
     refuse_contradicting,
@@ -49,7 +51,7 @@ from hilcell.identification.estimate import (
     observability,
 )
 from hilcell.identification.joint_error import WithJointErrors, with_joint_errors
-from hilcell.identification.kinematics import Kinematics
+from hilcell.identification.kinematics import Kinematics, Placed
 from hilcell.identification.measured_poses import (
     FOLDS,
     IdentificationError,
@@ -95,6 +97,10 @@ class LeftOut(NamedTuple):
 
     miss_mm: Array
     covariance_mm2: Array
+
+    def seen_by(self, rows: Measurements) -> LeftOut:
+        """Return what the rows tell: of distances, the part along them."""
+        return LeftOut(rows.seen_mm(self.miss_mm), rows.seen_mm2(self.covariance_mm2))
 
     def at(self, rows: Bools) -> LeftOut:
         """Return some of the rows, as far as they were learnt from."""
@@ -276,10 +282,13 @@ class FittedArm:
         targets = sorted(placement.smr_mm)
         names = [*targets, *sorted({*places_mm} - {*targets})]
         elastic, tool = TERMS[method]
+        ranges, T = rows.along is not None, placement.T_L_B
+        assumed = Placed(base_rad=1e-6) if ranges else Placed()  # no distance tells of a rotation
         kinematics = Kinematics(
-            placement.arm, len(names), gravity=elastic, waves=elastic, tool=tool
+            placement.arm, len(names), gravity=elastic, waves=elastic, tool=tool, assumed=assumed
         )
-        start = kinematics.start(placement.T_L_B, np.array([places_mm[each] for each in names]))
+        smr_mm = np.array([places_mm[each] for each in names])
+        start = kinematics.start(np.eye(4) if ranges else T, smr_mm)
         by = identify_trusted if trusted else identify
         noise = Noise.of_poses(len(targets), len(placement.arm))
         poses = Poses.of(rows, names)
@@ -360,6 +369,7 @@ class Predicted(NamedTuple):
         at_mm, covariance_mm2 = method.predict(rows)
         if rows.covariance_mm2 is not None:
             covariance_mm2 += rows.covariance_mm2
+        covariance_mm2 = rows.seen_mm2(covariance_mm2)
         return cls(at_mm, covariance_mm2, statistics.bounds95_mm(covariance_mm2))
 
 
@@ -405,6 +415,7 @@ def fit_robot(robot: Robot, train: Measurements, test: Measurements | None = Non
     start_s = time.perf_counter()
     arm = robot.arm
     refuse_few_poses(train)
+    train, test = located(arm, train, test)
     placement = place(arm, train)  # in the file's order: a refusal may name a shift in it
     train = averaged(placement, train)
     order = _order(train)
@@ -415,13 +426,13 @@ def fit_robot(robot: Robot, train: Measurements, test: Measurements | None = Non
     placement, elsewhere = place(arm, kept), _elsewhere(kept)
     arms = {} if refused else _arms(placement, kept, refused)
     models = scattered()
-    if rare := rare_target(kept):
+    if rare := rare_target(kept) or no_positions(kept):
         refused[Idw.name] = rare
         del models[Idw.name]
     fold = pose_folds(kept.joints_rad)
     left_out = cross_validate(arm, kept, models)
     left_out |= {name: each.left_out(fold) for name, each in arms.items()}
-    left_out = {name: each.at(elsewhere) for name, each in left_out.items()}
+    left_out = {name: each.seen_by(kept).at(elsewhere) for name, each in left_out.items()}
     validated = {name: each.figures for name, each in left_out.items()}
     chosen = choose(validated, WEIGHTS)
     methods: dict[str, Method] = {
@@ -539,7 +550,7 @@ def _contradicting(placement: Placement, rows: Measurements) -> tuple[Bools, dic
             raise FitError(str(error)) from error
         return np.zeros(len(rows), dtype=np.bool_), dict.fromkeys((*TERMS, RESIDUAL), str(error))
     bad = found.outliers
-    miss_mm = statistics.lengths_mm(rows.xyz_mm - found.predict(rows)[0])
+    miss_mm = statistics.lengths_mm(rows.seen_mm(rows.xyz_mm - found.predict(rows)[0]))
     refuse_absurd(placement.arm, rows, np.where(bad, miss_mm, 0.0))
     refuse_many(rows, bad, miss_mm)
     return bad, {}
@@ -551,7 +562,8 @@ def _judged(
     found, coverage, bounds = {}, {}, {}
     for name, method in methods.items():
         predicted = Predicted.by(method, test)
-        miss_mm, bounds[name] = test.xyz_mm - predicted.xyz_mm, predicted.bound95_mm
+        miss_mm = test.seen_mm(test.xyz_mm - predicted.xyz_mm)
+        bounds[name] = predicted.bound95_mm
         inside = statistics.lengths_mm(miss_mm) <= bounds[name]
         found[name] = figures_of(miss_mm)
         if np.isfinite(method.doubt):  # else too few poses for a bound
@@ -576,7 +588,7 @@ def worse_than_nominal(chosen: str, judged: Mapping[str, Figures]) -> str:
 def _outliers(method: Method, left_out: Measurements) -> list[Outlier]:
     if not len(left_out):
         return []
-    miss_mm = statistics.lengths_mm(left_out.xyz_mm - method.predict(left_out)[0])
+    miss_mm = statistics.lengths_mm(left_out.seen_mm(left_out.xyz_mm - method.predict(left_out)[0]))
     return [
         Outlier(pose=pose, target=target, miss_mm=float(miss))
         for pose, target, miss in zip(left_out.pose, left_out.target, miss_mm, strict=True)

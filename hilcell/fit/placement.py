@@ -63,7 +63,7 @@ class Placement:
 
     def miss_mm(self, rows: Measurements) -> Array:
         """Distances from nominal positions (N,)."""
-        return statistics.lengths_mm(rows.xyz_mm - self.predicted_mm(rows))
+        return statistics.lengths_mm(rows.seen_mm(rows.xyz_mm - self.predicted_mm(rows)))
 
     def relabelled(self, rows: Measurements, half_mm: float) -> Iterator[str]:
         """Yield reflectors whose swap would make rows match a known placement."""

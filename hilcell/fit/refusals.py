@@ -31,6 +31,11 @@ def rare_target(rows: Measurements, left_out: int = 0) -> str:
     return next(filter(None, (_few_poses(rows, rows.of(each), left_out) for each in targets)), "")
 
 
+def no_positions(rows: Measurements) -> str:
+    """Why errors of distances are not interpolated, or ""."""
+    return "" if rows.along is None else f"{rows.source}: distances have no positions' errors"
+
+
 def _few_poses(rows: Measurements, own: Sequence[int], left_out: int) -> str:
     pose, fold = pose_numbers(rows.joints_rad), pose_folds(rows.joints_rad)
     count = len(np.unique(pose[own]))

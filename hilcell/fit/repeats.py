@@ -23,13 +23,14 @@ def averaged(placement: Placement, rows: Measurements) -> Measurements:
     by the inverse covariances, where known.
     """
     pose = pose_numbers(rows.joints_rad).tolist()
-    groups: dict[tuple[int, str], list[int]] = {}
-    for n, key in enumerate(zip(pose, rows.target, strict=True)):
+    anchor = rows.anchor or [""] * len(rows)
+    groups: dict[tuple[int, str, str], list[int]] = {}
+    for n, key in enumerate(zip(pose, rows.target, anchor, strict=True)):
         groups.setdefault(key, []).append(n)
     if len(groups) == len(rows):
         return rows
     of_pose = {number: n for n, number in reversed([*enumerate(pose)])}
-    first = [of_pose[number] for number, _ in groups]
+    first = [of_pose[number] for number, _, _ in groups]
     mean = replace(
         rows.at(own[0] for own in groups.values()),
         pose=[rows.pose[n] for n in first],

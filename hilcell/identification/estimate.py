@@ -206,11 +206,9 @@ def _robust(kinematics: Kinematics, readings: Readings, state: State) -> tuple[S
     scale_mm, least_scale_mm = 0.5, 0.005
     known = readings.known
     own_mm2 = np.where(known[..., None, None], readings.covariance_mm2, 0.0)
-    variance_mm2 = np.einsum("mkii->mk", own_mm2) / 3.0
     lengths_mm = np.zeros(known.shape)
     linearised = kinematics.linearised(state, readings.joints_rad)
     cauchy = 2.5  # scales from which on a reading's pull fades
-    median_length = 1.5382  # of a 3-D normal vector of unit variance
     for _ in range(12):
         fading = (lengths_mm / (cauchy * scale_mm)) ** 2
         covariance_mm2 = own_mm2 + fading[..., None, None] * (own_mm2 + scale_mm**2 * np.eye(3))
@@ -220,15 +218,19 @@ def _robust(kinematics: Kinematics, readings: Readings, state: State) -> tuple[S
         state = kinematics.moved(state, system.step)
         linearised = kinematics.linearised(state, readings.joints_rad)
         missed = np.where(known[..., None], readings.xyz_mm - linearised.positions_mm, 0.0)
-        root = np.linalg.cholesky(own_mm2 + scale_mm**2 * np.eye(3))
-        whitened = np.linalg.solve(root, missed[..., None])[..., 0]
+        total_mm2 = own_mm2 + scale_mm**2 * np.eye(3)
+        whitened = np.linalg.solve(np.linalg.cholesky(total_mm2), missed[..., None])[..., 0]
         lengths_mm = scale_mm * np.linalg.norm(whitened, axis=-1)
-        # Of the most precise readings: others' own covariance hides the scale.
-        own = known & (variance_mm2 <= variance_mm2[known].min() + scale_mm**2)
-        left = np.einsum("mij,mij->mi", system.precision, system.noise_mm2)
-        share = max(float(np.mean(left[np.repeat(own, 3, axis=1)])), 0.1)
-        middle_mm = float(np.median(lengths_mm[own]))
-        scale_mm = max(middle_mm / median_length / share**0.5, least_scale_mm)
+        # Coordinates whose own covariance does not hide the scale; readings with most of them.
+        shown = scale_mm**2 * np.linalg.inv(total_mm2)
+        count = np.einsum("mkii->mk", shown)
+        telling = known & (count > 0.5 * count[known].max())
+        left = diagonal_blocks(system.precision) @ diagonal_blocks(system.noise_mm2) @ shown
+        count, left = count[telling], left[telling]
+        share = max(float(np.einsum("rii->", left) / count.sum()), 0.1)
+        usual = np.sqrt(count * (1.0 - 2.0 / (9.0 * count)) ** 3)  # median length (Wilson-Hilferty)
+        middle_mm = float(np.median(lengths_mm[telling] / usual))
+        scale_mm = max(middle_mm / share**0.5, least_scale_mm)
     return state, lengths_mm > GROSS * scale_mm
 
 
@@ -466,9 +468,9 @@ def observability(kinematics: Kinematics, covariance: Array) -> Observability:
 
 
 def diagonal_blocks(matrix: Array) -> Array:
-    """Return the blocks (N, 3, 3) on the diagonal of a matrix (3 N, 3 N)."""
-    at = np.arange(len(matrix)).reshape(-1, 3)
-    return np.asarray(matrix[at[:, :, None], at[:, None]])
+    """Return the blocks (..., N, 3, 3) on the diagonals of matrices (..., 3 N, 3 N)."""
+    at = np.arange(matrix.shape[-1]).reshape(-1, 3)
+    return np.asarray(matrix[..., at[:, :, None], at[:, None]])
 
 
 def triangle(*blocks: Array) -> Array:

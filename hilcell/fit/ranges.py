@@ -1,0 +1,159 @@
+"""Distances of reflectors from fixed points: a ball bar, a wire, an instrument of range alone.
+
+The points, anchors, are unknown, and estimated with reflectors and links in the robot's root frame.
+Then each distance is a position that is known along the line from its anchor, and not across it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from hilcell.fit.measurements import Measurements
+from hilcell.fit.placement import ABSURD_MM, CHECK_ROBOT, FitError, refuse_unknown_targets
+from hilcell.geometry.frames import apply_each, unit
+from hilcell.geometry.kinematics import Arm, Array, Ints, forward
+from hilcell.identification.kinematics import BASE, Kinematics
+
+ACROSS_MM = 1000.0  # standard uncertainty of a position across its distance
+
+
+def located(
+    arm: Arm, train: Measurements, test: Measurements | None
+) -> tuple[Measurements, Measurements | None]:
+    """The rows, of distances with positions; raises `FitError`."""
+    if test is not None and (train.distance_mm is None) != (test.distance_mm is None):
+        raise FitError(
+            f"{test.source}: expected the training rows' kind, positions or distances, in both"
+        )
+    if train.distance_mm is None:
+        return train, test
+    anchors = _Anchors.of(arm, train)
+    return anchors.located(train), None if test is None else anchors.located(test)
+
+
+@dataclass(frozen=True, eq=False)
+class _Anchors:
+    """The parameters ``x``: anchors by name, reflectors by target, and links."""
+
+    kinematics: Kinematics
+    targets: list[str]
+    names: list[str]
+    x: Array
+
+    @classmethod
+    def of(cls, arm: Arm, rows: Measurements) -> Self:
+        """The most probable parameters of distances; raises `FitError`."""
+        targets, names = sorted(set(rows.target)), sorted(set(rows.anchor))
+        kinematics = Kinematics(arm, len(targets), gravity=False, waves=False)
+        placed = 3 * (len(names) + len(targets))
+        starts = [cls(kinematics, targets, names, x) for x in _starts(arm, rows, names, targets)]
+        nominal = [each.improved(rows, placed) for each in starts]
+        found = min(nominal, key=lambda each: each.half_mm(rows)).improved(rows)
+        half_mm = found.half_mm(rows)
+        if not half_mm <= ABSURD_MM:
+            raise FitError(
+                f"{rows.source}: nominal kinematics miss half of the distances by {half_mm:.4g} mm "
+                f"or more, expected <= {ABSURD_MM:g} mm: {CHECK_ROBOT}"
+            )
+        return found
+
+    def located(self, rows: Measurements) -> Measurements:
+        """The rows with positions; raises `FitError` for anchors that are not known."""
+        refuse_unknown_targets(rows, self.targets)
+        if unknown := sorted({*rows.anchor} - {*self.names}):
+            raise FitError(
+                f"{rows.source}: no training row measures from anchor {unknown[0]}; correct its "
+                f"name, or measure from it in training rows; known: {', '.join(self.names)}"
+            )
+        along, distance_mm = unit(self.lines(rows)[0]), _distances_mm(rows)[:, None]
+        anchors = self.x[: 3 * len(self.names)].reshape(-1, 3)
+        outer = along[:, :, None] * along[:, None, :]
+        own_mm2 = np.zeros(outer.shape) if rows.covariance_mm2 is None else rows.covariance_mm2
+        return replace(
+            rows,
+            xyz_mm=anchors[_numbers(rows.anchor, self.names)] + distance_mm * along,
+            covariance_mm2=outer @ own_mm2 @ outer + ACROSS_MM**2 * (np.eye(3) - outer),
+            along=along,
+        )
+
+    def lines(self, rows: Measurements) -> tuple[Array, Array]:
+        """Vectors from the anchors (N, 3), and their derivatives (N, 3, P)."""
+        which, anchor = _numbers(rows.target, self.targets), _numbers(rows.anchor, self.names)
+        each, free = np.arange(len(rows)), 3 * len(self.names)
+        start = self.kinematics.start(np.eye(4), np.zeros((len(self.targets), 3)))
+        state = self.kinematics.moved(start, np.concatenate([np.zeros(BASE), self.x[free:]]))
+        found = self.kinematics.linearised(state, rows.joints_rad)
+        by_parameter = np.zeros((len(rows), 3, len(self.x)))
+        for axis in range(3):
+            by_parameter[each, axis, 3 * anchor + axis] = -1.0
+        by_parameter[..., free:] = found.by_parameter[each, which][..., BASE:]
+        return found.positions_mm[each, which] - self.x[:free].reshape(-1, 3)[anchor], by_parameter
+
+    def missed_mm(self, rows: Measurements) -> Array:
+        """Measured minus predicted distances (N,)."""
+        return np.asarray(_distances_mm(rows) - np.linalg.norm(self.lines(rows)[0], axis=1))
+
+    def half_mm(self, rows: Measurements) -> float:
+        return float(np.median(np.abs(self.missed_mm(rows))))
+
+    def improved(self, rows: Measurements, count: int | None = None) -> Self:
+        """After a robust fit of the first ``count`` parameters, or of all."""
+        from scipy.optimize import least_squares
+
+        scatter_mm, free = 0.05, 3 * len(self.names)  # beside the rows' own
+        size = len(self.x) if count is None else count
+        sigma = np.full(len(rows), scatter_mm)
+        if rows.covariance_mm2 is not None:
+            sigma = np.hypot(scatter_mm, np.sqrt(np.einsum("nii->n", rows.covariance_mm2) / 3.0))
+        prior = 1.0 / np.sqrt(np.diag(self.kinematics.prior[1]))[BASE:]
+        prior_root = np.hstack([np.zeros((len(prior), free)), np.diag(prior)])[:, :size]
+
+        def at(x: Array) -> Self:
+            return replace(self, x=np.concatenate([x, self.x[size:]]))
+
+        def missed(x: Array) -> Array:
+            return np.concatenate([at(x).missed_mm(rows) / sigma, prior_root @ x])
+
+        def slope(x: Array) -> Array:
+            lines, by_parameter = at(x).lines(rows)
+            J = np.einsum("ni,nip->np", unit(lines), by_parameter)[:, :size]
+            return np.concatenate([-J / sigma[:, None], prior_root])
+
+        found = least_squares(
+            missed, self.x[:size], jac=slope, x_scale="jac", loss="soft_l1", f_scale=3.0
+        )
+        return at(found.x)
+
+
+def _starts(
+    arm: Arm, rows: Measurements, names: Sequence[str], targets: Sequence[str]
+) -> Iterator[Array]:
+    """Parameters to begin with: anchors by trilateration, of reflectors at some places."""
+    flange, distance_mm = forward(arm, rows.joints_rad), _distances_mm(rows)
+    anchor, links = _numbers(rows.anchor, names), Kinematics(arm, gravity=False, waves=False).links
+    away_mm = 150.0
+    for place_mm in away_mm * np.vstack([np.zeros(3), np.eye(3), -np.eye(3)]):
+        at_mm = apply_each(flange, np.broadcast_to(place_mm, (len(rows), 3)))
+        anchors = [
+            _trilaterated(at_mm[anchor == n], distance_mm[anchor == n]) for n in range(len(names))
+        ]
+        yield np.concatenate([*anchors, np.tile(place_mm, len(targets)), np.zeros(links)])
+
+
+def _trilaterated(places_mm: Array, distances_mm: Array) -> Array:
+    """The point (3,) at distances (N,) from places (N, 3): |p|^2 - 2 p a + |a|^2 = d^2."""
+    design = np.column_stack([-2.0 * places_mm, np.ones(len(places_mm))])
+    squares = distances_mm**2 - np.sum(places_mm**2, axis=1)
+    return np.asarray(np.linalg.lstsq(design, squares, rcond=None)[0][:3])
+
+
+def _distances_mm(rows: Measurements) -> Array:
+    return np.full(len(rows), np.nan) if rows.distance_mm is None else rows.distance_mm
+
+
+def _numbers(labels: Sequence[str], names: Sequence[str]) -> Ints:
+    return np.array([names.index(each) for each in labels])
