@@ -134,7 +134,7 @@ class Measurements:
         )
 
     def seen_mm(self, missed_mm: Array) -> Array:
-        """What the rows tell of misses (N, 3): of distances, the part along them."""
+        """The part of misses (N, 3) that the rows show: of distances, along them."""
         if self.along is None:
             return missed_mm
         return np.asarray(np.sum(missed_mm * self.along, axis=1, keepdims=True) * self.along)

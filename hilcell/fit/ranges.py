@@ -52,14 +52,17 @@ class _Anchors:
         placed = 3 * (len(names) + len(targets))
         starts = [cls(kinematics, targets, names, x) for x in _starts(arm, rows, names, targets)]
         nominal = [each.improved(rows, placed) for each in starts]
-        found = min(nominal, key=lambda each: each.half_mm(rows)).improved(rows)
+        found = min(nominal, key=lambda each: each.half_mm(rows))
         half_mm = found.half_mm(rows)
         if not half_mm <= ABSURD_MM:
             raise FitError(
                 f"{rows.source}: nominal kinematics miss half of the distances by {half_mm:.4g} mm "
                 f"or more, expected <= {ABSURD_MM:g} mm: {CHECK_ROBOT}"
             )
-        return found
+        found = found.improved(rows)
+        gross = 12.0  # half misses, 8 standard deviations: such rows bend the anchors
+        agreeing = np.abs(found.missed_mm(rows)) <= gross * found.half_mm(rows)
+        return found.improved(rows.at(np.flatnonzero(agreeing)))
 
     def located(self, rows: Measurements) -> Measurements:
         """The rows with positions; raises `FitError` for anchors that are not known."""
