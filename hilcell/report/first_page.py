@@ -265,8 +265,9 @@ class FirstPage:
         if budget is None:
             return ""
         return (
-            f"U of the table: expanded, k = 2 (about 95 %), along the error; u = {budget.u_mm:.4f} "
-            f"mm of one coordinate. A measured 3-D position lies within {K_3D:.2f} u = "
+            "U: expanded, k = 2 (about 95 %); of the largest along the error, u = "
+            f"{budget.u_mm:.4f} mm of one coordinate; of a mean by its own table. A measured 3-D "
+            f"position lies within {K_3D:.2f} u = "
             f"{K_3D * budget.u_mm:.3f} mm with 95 % (k = {K_3D:.2f}, three coordinates; GUM)."
         )
 
