@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from hilcell.compensation.interpolation import Idw
 from hilcell.fit.measurements import Measurements, read_measurements
-from hilcell.fit.methods import AtPoints, cross_validate, fit_robot, scattered
+from hilcell.fit.methods import AtPoints, LeftOut, cross_validate, fit_robot, scattered
 from hilcell.fit.placement import FitError, place
 from hilcell.fit.robot_file import Robot, RobotModel, Row, read_dh
 from hilcell.geometry.frames import apply, pose_from_zyx
@@ -39,16 +39,21 @@ REFERENCE: dict[tuple[str, str], dict[str, Figures]] = {
     ("irb120_faro", "train64"): {"nominal": (0.730, 1.666, 3.513), "idw": (0.570, 1.205, 3.535)},
     ("motoman_left", "train150"): {"nominal": (0.222, 0.405, 0.457), "idw": (0.110, 0.216, 0.238)},
     ("motoman_left", "train64"): {"nominal": (0.222, 0.418, 0.470), "idw": (0.123, 0.228, 0.285)},
+    ("ur10_grid", "train64"): {},
+    ("ur10_grid", "train200"): {},
 }
 LIMITS = {  # mean mm of the chosen method; the synthetic robots' noise alone leaves 0.032
-    ("irb120_faro", "train200"): 0.080,
-    ("irb120_faro", "train64"): 0.086,
-    ("motoman_left", "train150"): 0.070,
-    ("motoman_left", "train64"): 0.073,
+    ("irb120_faro", "train200"): 0.070,
+    ("irb120_faro", "train64"): 0.083,
+    ("motoman_left", "train150"): 0.052,
+    ("motoman_left", "train64"): 0.060,
+    ("ur10_grid", "train64"): 0.20,
+    ("ur10_grid", "train200"): 0.11,
     ("three reflectors", "60"): 0.040,
     ("one reflector", "40"): 0.060,
 }
 REAL_PAIRS = [("real", folder, train) for folder, train in REFERENCE]
+LONG = {"train200"}  # seconds each
 SYNTHETIC_PAIRS = [("synthetic", "three reflectors", "60"), ("synthetic", "one reflector", "40")]
 IRB120 = RobotModel(
     name="IRB 120 nominal",
@@ -149,7 +154,15 @@ def pair_of(kind: str, folder: str, train: str) -> Pair:
     return Pair(IRB120, rows, test, peer(IRB120, rows, test))
 
 
-@pytest.mark.parametrize("names", REAL_PAIRS if REAL else SYNTHETIC_PAIRS, ids="-".join)
+@pytest.mark.parametrize(
+    "names",
+    [
+        pytest.param(
+            names, id="-".join(names), marks=pytest.mark.nightly if names[2] in LONG else ()
+        )
+        for names in (REAL_PAIRS if REAL else SYNTHETIC_PAIRS)
+    ],
+)
 def test_the_reference_s_figures_are_reached(names: Names) -> None:
     pair = pair_of(*names)
     result = fit_robot(pair.robot, pair.train, pair.test).result
@@ -162,18 +175,30 @@ def test_the_reference_s_figures_are_reached(names: Names) -> None:
     most = 0.98 if names[0] == "real" else 1.0
     assert 0.9 <= result["coverage"][result["chosen"]]["share"] <= most
     assert result["coverage95"] == result["coverage"][result["chosen"]]["share"]
-    assert best < min(wanted[0] for wanted in pair.wanted.values())
+    assert best == min(each["mean_mm"] for each in result["methods"].values())
     assert result["outliers"] == []
     assert (result["train"], result["test"]) == (len(pair.train), len(pair.test))
 
 
-@pytest.mark.parametrize("names", REAL_PAIRS[-1:] if REAL else SYNTHETIC_PAIRS[-1:], ids="-".join)
+@pytest.mark.parametrize("names", REAL_PAIRS[3:4] if REAL else SYNTHETIC_PAIRS[-1:], ids="-".join)
 def test_without_test_rows_cross_validation_judges(names: Names) -> None:
     pair = pair_of(*names)
     result = fit_robot(pair.robot, pair.train).result
     assert result["test"] == result["train"] == len(pair.train)
     for method, wanted in pair.wanted.items():
         assert result["methods"][method]["mean_mm"] == pytest.approx(wanted[0], rel=0.25)
+
+
+@pytest.mark.parametrize("understated", [1.0, 3.0])
+def test_bounds_widen_by_what_poses_left_out_miss_beyond_them(understated: float) -> None:
+    miss_mm = understated * np.random.default_rng(5).standard_normal((400, 3))
+    left_out = LeftOut(miss_mm, np.broadcast_to(np.eye(3), (400, 3, 3)))
+    assert left_out.doubt == pytest.approx(understated, rel=0.07)
+    fit = fit_robot(IRB120, measured(7, 40, ["SMR1"]))
+    arm, rows = fit.methods["elastic"], measured(8, 5, ["SMR1"])
+    wanted_mm2 = arm.doubt**2 * replace(arm, doubt=1.0).predict(rows)[1]
+    np.testing.assert_allclose(arm.predict(rows)[1], wanted_mm2)
+    assert arm.doubt >= 1.0
 
 
 def test_base_and_reflectors_of_an_exact_robot_are_found() -> None:
