@@ -81,6 +81,8 @@ class Column:
             return None
         if quantity == "u" and unit in ANGLES:
             quantity = "u_turn"
+        if quantity == "u_turn" and group:  # orientations are of whole rows
+            return None
         return cls(place, field.strip(), quantity, unit, group)
 
     @property
@@ -113,15 +115,17 @@ class Columns:
         """The columns of a header; ``names``: foreign names by ours. Raises `ValueError`."""
         found, ignored = _found(header, names)
         own = found.pop("", {})
-        if {*POSITION, "distance"} & {*own}:  # of other positions, such as nominal ones
+        if {*POSITION} & {*own}:  # others are of other positions, such as nominal ones
             ignored += [each.name for group in found.values() for each in group.values()]
             found.clear()
         kinds = [kind for kind, each in ORIENTATIONS.items() if {*each} <= {*own}]
         orientation = kinds[0] if kinds else ""
+        unused = ["anchor", "distance"] if found or {*POSITION} & {*own} else []
+        unused += [] if kinds else ["u_turn"]
         for kind, quantities in ORIENTATIONS.items():
             bare = [each for each in quantities if each in own and own[each].name.lower() == each]
-            unused = [*quantities] if kind in kinds[1:] else bare if kind not in kinds else []
-            ignored += [own.pop(each).name for each in unused]
+            unused += quantities if kind in kinds[1:] else bare if kind not in kinds else []
+        ignored += [own.pop(each).name for each in unused if each in own]
         if missing := _missing(own, found):
             more = f"; not understood: {shortened(ignored)}" if ignored else ""
             raise ValueError(f"missing: {', '.join(missing)}{more}")
@@ -241,8 +245,6 @@ def _full(quantity: str) -> str:
 
 
 def _refuse_double(own: ByQuantity, groups: Mapping[str, ByQuantity]) -> None:
-    if "distance" in own and "x" in own:
-        raise ValueError(f"{own['distance'].name} and {own['x'].name}: expected one of them")
     turned = [own[each] for kind in ORIENTATIONS.values() for each in kind if each in own]
     if "distance" in own and turned:
         raise ValueError(f"{turned[0].name} of a distance: orientations need positions")

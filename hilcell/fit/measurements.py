@@ -25,7 +25,7 @@ from hilcell.geometry.kinematics import Array
 from hilcell.identification.measured_poses import count_poses
 from hilcell.sanitize import counted
 
-REFLECTOR = "SMR"  # of lists that name none
+REFLECTOR, ANCHOR = "SMR", "anchor"  # of lists that name none
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,7 +271,7 @@ def _rows(columns: Columns, text: CsvText, line: int, cells: list[str]) -> list[
     u_rad = values.u(own["u_turn"]) if turn and "u_turn" in own else math.nan
     rows = []
     of_range = "distance" in own
-    anchor = values.label(own["anchor"]) if of_range and "anchor" in own else ""
+    anchor = values.label(own["anchor"]) if "anchor" in own else ANCHOR
     for name, group in columns.groups.items() or [("", own)]:
         places = [own["distance"]] if of_range else [group[each] for each in POSITION]
         if not values.given(places):

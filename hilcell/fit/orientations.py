@@ -23,10 +23,15 @@ _VARIANCES = np.array([[4.0, 2.0, 1.0], [2.0, 4.0, 1.0]])
 
 
 def points_of(rows: Measurements, assumed_rad: float) -> Measurements:
-    """Two rows for each orientation, x's then y's; unknown uncertainties are as assumed."""
+    """Two rows for each orientation, x's then y's; unknown uncertainties are as assumed.
+
+    One that several reflectors of a pose repeat counts once.
+    """
     if rows.R is None:
         return rows.at([])
-    known = np.flatnonzero(np.isfinite(rows.R).all(axis=(1, 2)))
+    values = np.column_stack([rows.joints_rad, rows.R.reshape(-1, 9)])
+    different = np.sort(np.unique(values, axis=0, return_index=True)[1])
+    known = different[np.isfinite(rows.R[different]).all(axis=(1, 2))]
     own, R = rows.at(known), rows.R[known]
     u_rad = np.full(len(known), assumed_rad) if own.u_rad is None else own.u_rad
     scale_mm2 = np.tile((_LEVER_MM * u_rad) ** 2, 2)

@@ -284,3 +284,22 @@ def test_joints_are_those_of_the_robot(tmp_path: Path) -> None:
         path.write_bytes(text_of(wrong))
         with pytest.raises(SettingsError, match=f"joints j1_mm, .* of on a rail, got {first}"):
             read_measurements(path, robot=robot)
+
+
+@pytest.mark.parametrize(
+    ("names", "ignored"),
+    [
+        ("nominal_x_mm,nominal_y_mm,nominal_z_mm", "nominal_x_mm, nominal_y_mm, nominal_z_mm"),
+        ("Anchor,distance_mm", "Anchor, distance_mm"),
+        ("C,u_deg,rx,SMR1_u_deg", "rx, SMR1_u_deg, u_deg, C"),
+        ("qw,qx,qy,qz,a_deg,b_deg,c_deg", "a_deg, b_deg, c_deg"),
+        ("x_note,j7_grad", "x_note, j7_grad"),
+    ],
+)
+def test_what_does_not_count_is_named(tmp_path: Path, names: str, ignored: str) -> None:
+    more = ["1", *["0"] * names.count(",")]
+    said: list[str] = []
+    table = [[*TABLE[0], *names.split(",")], *([*line, *more] for line in TABLE[1:])]
+    (tmp_path / "a.csv").write_bytes(text_of(table))
+    same(read_measurements(tmp_path / "a.csv", say=said.append))
+    assert f"; ignored columns: {ignored}" in said[0]

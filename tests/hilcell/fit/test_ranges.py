@@ -109,7 +109,7 @@ def test_distances_are_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(read.distance_mm, rows.distance_mm, atol=1e-5)
     assert "anchors nest 0, nest 1; 6 joints in rad; distances in m" in said[0]
     for wrong, says in (
-        ("x_mm,distance_m", "distance_m and x_mm"),
+        ("x_mm,distance_m", "missing: y_mm, z_mm; not understood: Anchor, distance_m"),
         ("rx_rad,distance_m", "missing: ry_deg"),
         ("away", "missing: x_mm, y_mm, z_mm; not understood: away"),
     ):

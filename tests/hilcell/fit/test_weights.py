@@ -69,6 +69,9 @@ def test_an_orientation_of_some_rows_is_enough_to_read() -> None:
     rows.R[::2] = np.nan
     points = points_of(rows, TURNED_RAD)
     assert (len(points), set(points.target)) == (30, {"SMR x", "SMR y"})
+    other = replace(rows, target=["SMR2"] * 30)
+    twice = points_of(replace(rows.at([*range(30)] * 2), target=[*rows.target, *other.target]), 1.0)
+    assert twice.target == points.target
     result = fit_robot(IRB120, rows).result
     assert (result["train"], result["test"], result["outliers"]) == (30, 30, [])
 
