@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 
@@ -45,7 +44,7 @@ class _Anchors:
     x: Array
 
     @classmethod
-    def of(cls, arm: Arm, rows: Measurements) -> Self:
+    def of(cls, arm: Arm, rows: Measurements) -> _Anchors:
         """The most probable parameters of distances; raises `FitError`."""
         targets, names = sorted(set(rows.target)), sorted(set(rows.anchor))
         kinematics = Kinematics(arm, len(targets), gravity=False, waves=False)
@@ -103,7 +102,7 @@ class _Anchors:
     def half_mm(self, rows: Measurements) -> float:
         return float(np.median(np.abs(self.missed_mm(rows))))
 
-    def improved(self, rows: Measurements, count: int | None = None) -> Self:
+    def improved(self, rows: Measurements, count: int | None = None) -> _Anchors:
         """After a robust fit of the first ``count`` parameters, or of all."""
         from scipy.optimize import least_squares
 
@@ -115,7 +114,7 @@ class _Anchors:
         prior = 1.0 / np.sqrt(np.diag(self.kinematics.prior[1]))[BASE:]
         prior_root = np.hstack([np.zeros((len(prior), free)), np.diag(prior)])[:, :size]
 
-        def at(x: Array) -> Self:
+        def at(x: Array) -> _Anchors:
             return replace(self, x=np.concatenate([x, self.x[size:]]))
 
         def missed(x: Array) -> Array:

@@ -37,9 +37,10 @@ def averaged(placement: Placement, rows: Measurements) -> Measurements:
         joints_rad=rows.joints_rad[first],
     )
     missed_mm, errors_mm = rows.xyz_mm - placement.predicted_mm(rows), np.empty((len(mean), 3))
-    precision, covariances_mm2 = np.broadcast_to(np.eye(3), (len(rows), 3, 3)), mean.covariance_mm2
+    precision: Array = np.broadcast_to(np.eye(3), (len(rows), 3, 3))
+    covariances_mm2 = mean.covariance_mm2
     if rows.covariance_mm2 is not None:
-        precision = np.linalg.inv(rows.covariance_mm2)
+        precision = np.asarray(np.linalg.inv(rows.covariance_mm2), dtype=float)
     for n, repeated in enumerate(groups.values()):
         own = _agreeing(repeated, missed_mm)
         together = precision[own].sum(axis=0)

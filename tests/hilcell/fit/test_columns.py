@@ -171,7 +171,9 @@ def workbook(
 
 
 def typed(table: Table) -> list[list[str | float]]:
-    return [[*table[0]]] + [[*line[:2], *map(float, line[2:])] for line in table[1:]]
+    rows: list[list[str | float]] = [[*table[0]]]
+    rows.extend([*line[:2], *map(float, line[2:])] for line in table[1:])
+    return rows
 
 
 def test_a_workbook_is_read_by_its_first_sheet(tmp_path: Path) -> None:
