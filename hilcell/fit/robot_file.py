@@ -11,7 +11,7 @@ from __future__ import annotations
 import tomllib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, get_args
 
 import msgspec
 import numpy as np
@@ -64,7 +64,9 @@ class Robot:
         revolute joints count as 2 and 3. Raises `ValueError`.
         """
         dh = np.array(rows, dtype=float)
-        count = len(dh)
+        count = len(dh) if dh.ndim else 0
+        if convention not in get_args(Convention):
+            raise ValueError(f"convention: expected {get_args(Convention)}, got {convention!r}")
         if not 1 <= count <= MOST_JOINTS:
             raise ValueError(f"expected 1 to {MOST_JOINTS} joints, got {count}")
         if dh.shape != (count, 4) or not np.isfinite(dh).all():

@@ -341,8 +341,8 @@ def refined(arm: Arm, poses: Array, start_rad: Array) -> tuple[Array, Bools]:
     singular starts. An arm of more than six joints stays near the start; one of fewer takes the
     position, and the orientation as far as it can.
     """
-    six = len(arm) >= 6
-    turn_weight = 1.0 if six else 1e-4
+    takes_turns = len(arm) >= 6
+    turn_weight = 1.0 if takes_turns else 1e-4
     joints, arrived = start_rad.copy(), np.zeros(len(poses), dtype=bool)
     length_mm = max(float(np.abs(arm.a_mm).max()), 1.0)
     scale = np.array([1.0, 1.0, 1.0, *[turn_weight * length_mm] * 3]) / length_mm
@@ -352,7 +352,7 @@ def refined(arm: Arm, poses: Array, start_rad: Array) -> tuple[Array, Bools]:
         rotation = target[..., :3, :3] @ np.swapaxes(found[..., :3, :3], -1, -2)
         error = np.hstack([target[..., :3, 3] - found[..., :3, 3], to_rotvec(rotation)])
         shift, turn = (np.linalg.norm(each, axis=-1) for each in (error[:, :3], error[:, 3:]))
-        there = (shift <= refined_mm) & ((turn <= refined_rad) if six else True)
+        there = (shift <= refined_mm) & ((turn <= refined_rad) if takes_turns else True)
         arrived[~arrived] = there
         if arrived.all():
             break
