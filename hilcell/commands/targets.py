@@ -238,7 +238,8 @@ def _write_arm(args: Fit, fit: RobotFit, inputs: list[Path]) -> dict[str, float]
 def _print_fit(result: FitResult) -> None:
     print_table(methods_table(result["methods"]))
     print_data(
-        f"chosen: {result['chosen']}; {result['train']} training rows, {result['test']} test rows"
+        f"chosen: {result['chosen']}; {result['train']} of {result['rows']} training rows kept, "
+        f"{result['test']} rows judged"
     )
     print_data(result["reason"])
     for reason in sorted(set(result["refused"].values())):
@@ -250,6 +251,13 @@ def _print_fit(result: FitResult) -> None:
         for bad in result["outliers"]
     )
     for line in bounded(outliers):
+        print_message(line)
+    undetermined = (
+        f"undetermined: pose {row['pose']} target {row['target']} has a 95 % bound of "
+        f"{row['bound_mm']:.4g} mm, over {result['undetermined_mm']:.3g} mm, and is not judged"
+        for row in result["undetermined"]
+    )
+    for line in bounded(undetermined):
         print_message(line)
     if inside := result["coverage"].get(result["chosen"]):
         print_data(

@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from operator import itemgetter
 from typing import NamedTuple, Self, TypedDict
 
@@ -21,26 +22,26 @@ from hilcell.compensation.model import LearntModel, Measured, StaticPoses
 from hilcell.compensation.model_choice import MODELS, NOMINAL, choose, listed
 from hilcell.fit.measurements import Measurements
 from hilcell.fit.orientations import mounted, points_of, scatter_rad
-from hilcell.fit.placement import (
-    FitError,
-    Placement,
-    place,
-    refuse_another_robot,
-    refuse_unknown_targets,
-)
+from hilcell.fit.placement import FitError, Placement, place, place_roughly, refuse_unknown_targets
 from hilcell.fit.ranges import located
 from hilcell.fit.refusals import (
     no_positions,
     rare_target,
-    refuse_absurd,
+    refuse_another_robot,
     refuse_contradicting,
     refuse_few_poses,
+    refuse_gross,
     refuse_many,
-    refuse_undetermined,
+    refuse_mistaken,
+    refuse_unidentified,
+    refuse_unplaced,
+    undetermined,
 )
 from hilcell.fit.repeats import averaged
 from hilcell.fit.robot_file import Robot
+from hilcell.fit.suppositions import explaining, of_test, of_training
 from hilcell.geometry import statistics
+from hilcell.geometry.frames import FrameError
 from hilcell.geometry.kinematics import Arm, Array, Bools, Ints
 from hilcell.geometry.statistics import Figures
 from hilcell.identification.estimate import (
@@ -49,13 +50,13 @@ from hilcell.identification.estimate import (
     identify,
     identify_trusted,
     observability,
+    robust,
 )
 from hilcell.identification.joint_error import WithJointErrors, with_joint_errors
 from hilcell.identification.kinematics import Kinematics, Placed
 from hilcell.identification.measured_poses import (
     FOLDS,
     IdentificationError,
-    ManyContradict,
     Noise,
     Readings,
     count_poses,
@@ -81,6 +82,14 @@ class Outlier(TypedDict):
     pose: str
     target: str
     miss_mm: float
+
+
+class Undetermined(TypedDict):
+    """A test row that the training rows do not determine, and its 95 % bound."""
+
+    pose: str
+    target: str
+    bound_mm: float
 
 
 class Coverage(TypedDict):
@@ -140,7 +149,8 @@ class IdentifiedModel(TypedDict):
 
 
 class FitResult(TypedDict):
-    """Output of ``fit --json``; ``train`` and ``test`` count the rows learnt from and judged.
+    """Output of ``fit --json``; ``rows`` counts the training rows, ``train`` those learnt from, and
+    ``test`` those judged: kept training rows, or determined test rows.
 
     ``methods``: distances of predicted from measured positions; ``refused``: why others could not
     learn; ``coverage``: of methods with bounds, empty without test rows; ``coverage95``: that of
@@ -155,8 +165,11 @@ class FitResult(TypedDict):
     coverage: dict[str, Coverage]
     coverage95: float | None
     model: IdentifiedModel | None
+    rows: int
     train: int
     test: int
+    undetermined: list[Undetermined]
+    undetermined_mm: float
     seconds: float
 
 
@@ -416,11 +429,11 @@ def fit_robot(robot: Robot, train: Measurements, test: Measurements | None = Non
     arm = robot.arm
     refuse_few_poses(train)
     train, test = located(arm, train, test)
-    placement = place(arm, train)  # in the file's order: a refusal may name a shift in it
+    placement = _placed(arm, train)
     train = averaged(placement, train)
     order = _order(train)
     rows = train.at(order)
-    bad, refused = _contradicting(placement, rows)
+    bad, refused = _contradicting(placement, train, order)
     kept = rows.at(np.flatnonzero(~bad))
     refuse_few_poses(kept, int(bad.sum()))
     placement, elsewhere = place(arm, kept), _elsewhere(kept)
@@ -442,13 +455,10 @@ def fit_robot(robot: Robot, train: Measurements, test: Measurements | None = Non
     methods = {name: replace(each, doubt=left_out[name].doubt) for name, each in methods.items()}
     judged, coverage, reason = validated, dict[str, Coverage](), ""
     best = min(arms, key=lambda name: validated[name].mean, default=None)
+    limit_mm = _limit_mm(validated[NOMINAL], arms.get(best or ""))
+    unknown: list[Undetermined] = []
     if test is not None:
-        refuse_another_robot(placement, test)
-        judged, coverage = _judged(methods, test, best)
-        if inside := coverage.get(chosen):
-            refuse_contradicting(
-                test, chosen, inside["share"], inside["bound_mm"], judged[chosen].mean
-            )
+        judged, coverage, unknown = _tested(arm, methods, test, best, chosen, limit_mm)
         if reason := worse_than_nominal(chosen, judged):
             chosen = NOMINAL
     why = "least mean and p95 of misses at training poses left out"
@@ -463,11 +473,25 @@ def fit_robot(robot: Robot, train: Measurements, test: Measurements | None = Non
         "coverage": coverage,
         "coverage95": coverage[chosen]["share"] if chosen in coverage else None,
         "model": None if best is None else arms[best].identified(best),
+        "rows": len(train),
         "train": len(kept),
-        "test": int(elsewhere.sum()) if test is None else len(test),
+        "test": int(elsewhere.sum()) if test is None else len(test) - len(unknown),
+        "undetermined": unknown,
+        "undetermined_mm": limit_mm,
         "seconds": time.perf_counter() - start_s,
     }
     return RobotFit(robot, train, result, methods, validated)
+
+
+def _placed(arm: Arm, train: Measurements) -> Placement:
+    """Base and reflectors; raises `FitError`, naming the mistake in rows that define none."""
+    try:
+        return place(arm, train)
+    except (FrameError, FitError) as error:
+        every, misses = np.arange(len(train)), partial(_misses_mm, arm)
+        far_mm = np.full(len(train), np.inf)
+        supposed = of_training(arm, train)
+        refuse_unplaced(error, explaining(train, far_mm, every, supposed, misses))
 
 
 def scattered() -> dict[str, type[LearntModel]]:
@@ -541,37 +565,106 @@ def methods_table(methods: Mapping[str, Mapping[str, float]]) -> Table:
     return Table(columns, rows)
 
 
-def _contradicting(placement: Placement, rows: Measurements) -> tuple[Bools, dict[str, str]]:
+def _contradicting(
+    placement: Placement, train: Measurements, order: Ints
+) -> tuple[Bools, dict[str, str]]:
+    """Which rows (N,), in an order, contradict the others, and why no robot is identified."""
+    arm, rows = placement.arm, train.at(order)
+
+    def mistake(bad: Ints) -> str:  # in the file's order: it may name a shift in it
+        supposed = of_training(arm, train)
+        return explaining(train, miss_mm, bad, supposed, partial(_misses_mm, arm))
+
+    back = np.argsort(order)
+    miss_mm = nominal_mm = placement.miss_mm(train)
     try:
         found = FittedArm.learn(placement, rows, max(TERMS, key=_terms), trusted=False)
     except IdentificationError as error:
-        refuse_absurd(placement.arm, rows, placement.miss_mm(rows))
-        if isinstance(error, ManyContradict):
-            raise FitError(str(error)) from error
+        refuse_another_robot(train, nominal_mm, mistake)
+        refuse_gross(train, nominal_mm, mistake)
+        refuse_unidentified(train, nominal_mm, error, mistake)
         return np.zeros(len(rows), dtype=np.bool_), dict.fromkeys((*TERMS, RESIDUAL), str(error))
-    bad = found.outliers
-    miss_mm = statistics.lengths_mm(rows.seen_mm(rows.xyz_mm - found.predict(rows)[0]))
-    refuse_absurd(placement.arm, rows, np.where(bad, miss_mm, 0.0))
-    refuse_many(rows, bad, miss_mm)
-    return bad, {}
+    miss_mm = statistics.lengths_mm(rows.seen_mm(rows.xyz_mm - found.predict(rows)[0]))[back]
+    bad = found.outliers[back]
+    refuse_gross(train, np.where(bad, miss_mm, 0.0), mistake)
+    refuse_many(train, bad, miss_mm, mistake)
+    refuse_mistaken(train, bad, miss_mm, found.estimate, mistake)
+    return found.outliers, {}
 
 
-def _judged(
-    methods: Mapping[str, Method], test: Measurements, best: str | None
-) -> tuple[dict[str, Figures], dict[str, Coverage]]:
-    found, coverage, bounds = {}, {}, {}
-    for name, method in methods.items():
-        predicted = Predicted.by(method, test)
-        miss_mm = test.seen_mm(test.xyz_mm - predicted.xyz_mm)
-        bounds[name] = predicted.bound95_mm
-        inside = statistics.lengths_mm(miss_mm) <= bounds[name]
-        found[name] = figures_of(miss_mm)
-        if np.isfinite(method.doubt):  # else too few poses for a bound
-            bound_mm = float(bounds[name].mean())
-            coverage[name] = Coverage(share=float(inside.mean()), bound_mm=bound_mm)
-        if name == best:
-            refuse_undetermined(test, miss_mm, bounds[name])
-    return found, coverage
+def _misses_mm(arm: Arm, rows: Measurements) -> Array:
+    """Distances (N,) of rows from a robot identified of them, or else from nominal positions."""
+    placement = place_roughly(arm, rows)
+    nominal_mm, no_robot_mm = placement.miss_mm(rows), 30.0
+    few = count_poses(rows.joints_rad) < LEAST_POSES
+    if few or not np.median(nominal_mm) <= no_robot_mm:
+        return nominal_mm
+    targets = sorted(placement.smr_mm)
+    kinematics = Kinematics(arm, len(targets), gravity=False, waves=False)
+    poses = Poses.of(rows, targets)
+    smr_mm = np.array([placement.smr_mm[target] for target in targets])
+    state, _ = robust(kinematics, poses.readings, kinematics.start(placement.T_L_B, smr_mm))
+    at_mm = kinematics.positions_mm(state, poses.readings.joints_rad)
+    return statistics.lengths_mm(rows.seen_mm(rows.xyz_mm - poses.by_row(at_mm)))
+
+
+def _limit_mm(nominal: Figures, arm: FittedArm | None) -> float:
+    """Bound (95 %) beyond which the training rows do not determine a position: it exceeds twice
+    what nominal positions miss by, and what the instrument alone explains.
+    """
+    of_nominal, of_readings, bound95 = 2.0, 20.0, 2.8  # bound95: of unit noise in 3D
+    reading_mm = 0.0 if arm is None else arm.estimate.noise.reading_mm
+    return max(of_nominal * nominal.p95, of_readings * bound95 * reading_mm)
+
+
+def _tested(
+    arm: Arm,
+    methods: Mapping[str, Method],
+    test: Measurements,
+    best: str | None,
+    chosen: str,
+    limit_mm: float,
+) -> tuple[dict[str, Figures], dict[str, Coverage], list[Undetermined]]:
+    """Figures and coverage of the determined test rows by method, and the other rows."""
+    predicted = {name: Predicted.by(method, test) for name, method in methods.items()}
+    method = methods[best or NOMINAL]
+    if not np.isfinite(method.doubt):
+        method = replace(method, doubt=1.0)
+    by_best = Predicted.by(method, test)
+    rigid = replace(method, joint_errors=None) if isinstance(method, FittedArm) else method
+
+    def mistake(bad: Ints) -> str:
+        supposed = of_test(arm, test, by_best.xyz_mm)
+        return explaining(
+            test,
+            miss_mm,
+            bad,
+            supposed,
+            lambda rows: statistics.lengths_mm(rows.seen_mm(rows.xyz_mm - rigid.predict(rows)[0])),
+        )
+
+    miss_mm = statistics.lengths_mm(test.seen_mm(test.xyz_mm - by_best.xyz_mm))
+    refuse_gross(test, np.where(miss_mm <= by_best.bound95_mm, 0.0, miss_mm), mistake)
+    unknown = undetermined(test, by_best.bound95_mm, limit_mm if best else np.inf)
+    known = np.setdiff1d(np.arange(len(test)), unknown)
+    figures, coverage = {}, {}
+    for name, each in predicted.items():
+        left_mm = statistics.lengths_mm(test.seen_mm(test.xyz_mm - each.xyz_mm))[known]
+        bound_mm = each.bound95_mm[known]
+        figures[name] = statistics.figures_of(left_mm)
+        if np.isfinite(methods[name].doubt):  # else too few poses for a bound
+            share = float((left_mm <= bound_mm).mean())
+            coverage[name] = Coverage(share=share, bound_mm=float(bound_mm.mean()))
+    if inside := coverage.get(chosen):
+        share, bound95_mm = inside["share"], inside["bound_mm"]
+        refuse_contradicting(test, chosen, share, bound95_mm, figures[chosen].mean, mistake)
+    named = [
+        Undetermined(
+            pose=test.pose[n], target=test.target[n], bound_mm=float(by_best.bound95_mm[n])
+        )
+        for n in unknown
+    ]
+    return figures, coverage, named
 
 
 def worse_than_nominal(chosen: str, judged: Mapping[str, Figures]) -> str:

@@ -1,15 +1,10 @@
-"""Base and reflectors of a measured robot, by nominal kinematics.
-
-Rows far off nominal kinematics are of another robot or in other units: likely mistakes are tried,
-and the one that explains the rows is named.
-"""
+"""Base and reflectors of a measured robot, by nominal kinematics."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from itertools import islice, permutations
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,11 +24,11 @@ from hilcell.geometry.kinematics import Arm, Array, forward
 from hilcell.ports import HilcellError
 from hilcell.sanitize import counted
 
-ABSURD_MM = 20.0  # a miss beyond this is no robot's error
-CHECK_ROBOT = "check the robot file, joint signs and units, and that the rows are of this robot"
 ITERATIONS = 100
-CONVERGED = 1e-9
-EXPLAINED = 0.1  # of the median miss: a supposition that leaves less explains the rows
+ABSURD_MM = 20.0  # a miss beyond this is no robot's error, and no slip of a reading
+CHECK_ROBOT = "check the robot file, joint signs and units, and that the rows are of this robot"
+CONVERGED, ROUNDING = 1e-9, 1e-12
+BAD_ROW_MM = 1.0  # rows that miss by more count less (soft L1), so one bad row moves nothing
 
 
 class FitError(HilcellError):
@@ -65,36 +60,24 @@ class Placement:
         """Distances from nominal positions (N,)."""
         return statistics.lengths_mm(rows.seen_mm(rows.xyz_mm - self.predicted_mm(rows)))
 
-    def relabelled(self, rows: Measurements, half_mm: float) -> Iterator[str]:
-        """Yield reflectors whose swap would make rows match a known placement."""
-        names = sorted(self.smr_mm)
-        most_reflectors = 4  # of which all permutations are tried
-        if not 1 < len(names) <= most_reflectors:
-            return
-        for others in permutations(names):
-            other = dict(zip(names, others, strict=True))
-            changed = replace(rows, target=[other[target] for target in rows.target])
-            left_mm = float(np.median(self.miss_mm(changed)))
-            if left_mm <= min(EXPLAINED * half_mm, ABSURD_MM):
-                swapped = ", ".join(f"{a} is {b}" for a, b in other.items() if a != b)
-                yield f"the reflectors are swapped: {swapped}"
-
 
 def place(arm: Arm, rows: Measurements) -> Placement:
-    """Estimate base and reflectors by Gauss-Newton with soft-L1 weights; raises `FitError`."""
-    try:
-        placement, step = _estimate(arm, rows)
-    except FrameError as error:
-        fitting = next(_fitting(arm, rows, ABSURD_MM / EXPLAINED, np.median), None)
-        act = CHECK_ROBOT if fitting is None else f"they fit if {fitting}"
-        raise FitError(f"{error}; {act}") from error
-    refuse_another_robot(placement, rows)
+    """Estimate base and reflectors by Gauss-Newton with soft-L1 weights.
+
+    Raises `FitError`, and `FrameError` for positions that are no rigid motion of nominal ones.
+    """
+    placement, step = _estimate(arm, rows, ITERATIONS)
     if not step <= CONVERGED:
         raise FitError(
             f"{rows.source}: base and reflectors do not settle: the last of {ITERATIONS} steps is "
             f"{step:.3g}, expected <= {CONVERGED}: measure more poses with other orientations"
         )
     return placement
+
+
+def place_roughly(arm: Arm, rows: Measurements) -> Placement:
+    """Estimate the same in few steps, by which a supposition is judged."""
+    return _estimate(arm, rows, 20)[0]
 
 
 def refuse_unknown_targets(rows: Measurements, known: Collection[str]) -> None:
@@ -106,65 +89,7 @@ def refuse_unknown_targets(rows: Measurements, known: Collection[str]) -> None:
         )
 
 
-def refuse_another_robot(placement: Placement, rows: Measurements) -> None:
-    """Refuse rows of which half are far off: another robot, other joint signs or units."""
-    half_mm = float(np.median(placement.miss_mm(rows)))
-    if not half_mm <= ABSURD_MM:
-        fitting = _fitting(placement.arm, rows, half_mm, np.median)
-        found = [*placement.relabelled(rows, half_mm), *fitting]
-        act = f"they fit if {found[0]}; " if found else ""
-        raise FitError(
-            f"{rows.source}: nominal kinematics miss half of the measured targets by {half_mm:.4g} "
-            f"mm or more, expected <= {ABSURD_MM:g} mm: {act}{CHECK_ROBOT}"
-        )
-
-
-def _fitting(
-    arm: Arm, rows: Measurements, size_mm: float, of: Callable[[Array], float]
-) -> Iterator[str]:
-    """Yield corrections that explain rows off by ``size_mm``, the likeliest first."""
-    for says, changed in _suppositions(rows):
-        with suppress(HilcellError):
-            left_mm = float(of(_estimate(arm, changed)[0].miss_mm(changed)))
-            if left_mm <= min(EXPLAINED * size_mm, ABSURD_MM):
-                yield says
-
-
-def supposition(arm: Arm, rows: Measurements, worst_mm: float, bad: Iterable[int]) -> str:
-    """Correction that explains all rows, ``bad`` among them, off by up to ``worst_mm``; "" for
-    none.
-    """
-    most_tried = 500  # rows by which a supposition is judged
-    some = range(0, len(rows), len(rows) // most_tried + 1)
-    tried = rows.at(sorted({*some, *islice(bad, most_tried)}))
-    return next(_fitting(arm, tried, worst_mm, np.max), "")
-
-
-def _suppositions(rows: Measurements) -> Iterator[tuple[str, Measurements]]:
-    joints, xyz = rows.joints_rad, rows.xyz_mm
-    yield "the joints are radians", replace(rows, joints_rad=np.degrees(joints))
-    mm_per_m, mm_per_inch = 1000.0, 25.4
-    yield "the positions are metres", replace(rows, xyz_mm=xyz * mm_per_m)
-    yield "the positions are inches", replace(rows, xyz_mm=xyz * mm_per_inch)
-    for axis in range(joints.shape[1]):
-        turned = joints * np.where(np.arange(joints.shape[1]) == axis, -1.0, 1.0)
-        yield f"joint {axis + 1} turns the other way", replace(rows, joints_rad=turned)
-    for how, sign in (("with", 1.0), ("against", -1.0)):  # controllers that show it to the ground
-        coupled = joints.copy()
-        coupled[:, 2] += sign * joints[:, 1]
-        yield f"joint 3 turns {how} joint 2", replace(rows, joints_rad=coupled)
-    order = list(dict.fromkeys(rows.pose))
-    number = np.array([order.index(pose) for pose in rows.pose])
-    first = joints[[rows.pose.index(pose) for pose in order]]
-    for says, shifted in (
-        ("each pose has the joints of the pose after it", np.roll(first, 1, axis=0)),
-        ("each pose has the joints of the pose before it", np.roll(first, -1, axis=0)),
-        ("the poses' joints are in reverse order", first[::-1]),
-    ):
-        yield says, replace(rows, joints_rad=shifted[number])
-
-
-def _estimate(arm: Arm, rows: Measurements) -> tuple[Placement, float]:
+def _estimate(arm: Arm, rows: Measurements, iterations: int) -> tuple[Placement, float]:
     """Base and reflectors, and the size of the last step."""
     targets = sorted(set(rows.target))
     least = 3 + len(targets)
@@ -175,16 +100,47 @@ def _estimate(arm: Arm, rows: Measurements) -> tuple[Placement, float]:
         )
     which = np.array([targets.index(target) for target in rows.target])
     flange = forward(arm, rows.joints_rad)
-    T, smr = _first(flange[:, :3, 3], rows), np.zeros((len(targets), 3))
-    step = np.inf
-    for _ in range(ITERATIONS):
-        T, smr, step = _improved(T, smr, flange, which, rows.xyz_mm)
+    T, smr_mm = _first(flange, rows)
+    smr = np.tile(smr_mm, (len(targets), 1))
+    cost, step, share = _cost(T, smr, flange, which, rows.xyz_mm), np.inf, 1.0
+    for _ in range(iterations):
+        further = _improved(T, smr, flange, which, rows.xyz_mm, share)
+        after = _cost(*further[:2], flange, which, rows.xyz_mm)
+        if not after <= cost * (1.0 + ROUNDING):
+            share /= 4.0
+            continue
+        (T, smr, step), cost, share = further, after, min(4.0 * share, 1.0)
         if step <= CONVERGED:
             break
     return Placement(arm, T, dict(zip(targets, smr, strict=True))), step
 
 
-def _first(flange_mm: Array, rows: Measurements) -> Array:
+def _first(flange: Array, rows: Measurements) -> tuple[Array, Array]:
+    """Base (4, 4) and one reflector (3,) on all flanges (N, 4, 4), where the search begins."""
+    names = f"{rows.source}: nominal positions", f"{rows.source}: measured positions"
+    try:
+        return _rigid(flange[:, :3, 3], rows.xyz_mm, names), np.zeros(3)
+    except FrameError:
+        # Of poses near one another the reflector's own way is more than the flange's.
+        lever_mm = 200.0
+        for smr_mm in lever_mm * np.concatenate([np.eye(3), -np.eye(3)]):
+            with suppress(FrameError):
+                return _rigid(apply_each(flange, smr_mm), rows.xyz_mm, names), smr_mm
+        return _along_a_line(flange[:, :3, 3], rows), np.zeros(3)
+
+
+def _rigid(a_mm: Array, b_mm: Array, names: tuple[str, str]) -> Array:
+    """The motion (4, 4) of most points, by weights that fade beyond the median residual."""
+    fit = rigid_fit(a_mm, b_mm, names=names)
+    for _ in range(5):
+        lengths_mm = statistics.lengths_mm(fit.residuals_mm)
+        scale_mm = max(float(np.median(lengths_mm)), ONE_PLACE_MM)
+        fit = rigid_fit(a_mm, b_mm, 1.0 / (1.0 + (lengths_mm / scale_mm) ** 2), names)
+    return fit.T
+
+
+def _along_a_line(flange_mm: Array, rows: Measurements) -> Array:
+    """The base (4, 4) by positions on a line."""
     xyz_mm = rows.xyz_mm
     names = f"{rows.source}: nominal positions", f"{rows.source}: measured positions"
     try:
@@ -206,15 +162,19 @@ def _first(flange_mm: Array, rows: Measurements) -> Array:
     return matrix(R, xyz_mm.mean(axis=0) - R @ flange_mm.mean(axis=0))
 
 
+def _cost(T: Array, smr: Array, flange: Array, which: Array, measured: Array) -> float:
+    left = measured - apply(T, apply_each(flange, smr[which]))
+    return float(np.sum(np.sqrt(1.0 + np.sum((left / BAD_ROW_MM) ** 2, axis=1))))
+
+
 def _improved(
-    T: Array, smr: Array, flange: Array, which: Array, measured: Array
+    T: Array, smr: Array, flange: Array, which: Array, measured: Array, share: float
 ) -> tuple[Array, Array, float]:
-    """Base (4, 4), reflectors (K, 3) and the step's size after one Gauss-Newton step."""
+    """Base (4, 4), reflectors (K, 3) and the step's size after a share of a Gauss-Newton step."""
     found = apply(T, apply_each(flange, smr[which]))
     middle = found.mean(axis=0)
     left = measured - found
-    bad_row_mm = 1.0  # rows that miss by more count less (soft L1), so one bad row moves nothing
-    weight = (1.0 + np.sum((left / bad_row_mm) ** 2, axis=1)) ** -0.25  # squared in the sum
+    weight = (1.0 + np.sum((left / BAD_ROW_MM) ** 2, axis=1)) ** -0.25  # squared in the sum
     J = np.zeros((len(found), 3, 6 + smr.size))
     J[:, :, :3], J[:, :, 3:6] = np.eye(3), -cross_matrix(found - middle)
     turned = T[:3, :3] @ flange[:, :3, :3]
@@ -223,7 +183,7 @@ def _improved(
         J[own, :, 6 + 3 * number : 9 + 3 * number] = turned[own]
     rows = (weight[:, None, None] * J).reshape(-1, J.shape[2])
     # With one tool orientation base and reflector shift each other: the least step is taken.
-    step = np.linalg.lstsq(rows, (weight[:, None] * left).ravel(), rcond=1e-10)[0]
+    step = np.linalg.lstsq(rows, (weight[:, None] * left).ravel(), rcond=1e-10)[0] * share
     R = from_rotvec(step[3:6])
     moved = matrix(R, middle + step[:3] - R @ middle) @ T
     return moved, smr + step[6:].reshape(-1, 3), float(np.abs(step).max())

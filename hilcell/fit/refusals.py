@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import NoReturn
 
 import numpy as np
 
 from hilcell.compensation.interpolation import NEIGHBOURS
 from hilcell.fit.measurements import Measurements
-from hilcell.fit.placement import ABSURD_MM, FitError, supposition
-from hilcell.geometry import statistics
-from hilcell.geometry.kinematics import Arm, Array, Bools, Ints
-from hilcell.identification.measured_poses import FOLDS, pose_folds, pose_numbers
+from hilcell.fit.placement import ABSURD_MM, CHECK_ROBOT, FitError
+from hilcell.fit.suppositions import TRIED
+from hilcell.geometry.frames import FrameError
+from hilcell.geometry.kinematics import Array, Bools, Ints
+from hilcell.identification.estimate import Estimate
+from hilcell.identification.measured_poses import (
+    FOLDS,
+    IdentificationError,
+    ManyContradict,
+    pose_folds,
+    pose_numbers,
+)
 from hilcell.sanitize import counted
 
-UNDETERMINED_MM = 5.0  # a bound beyond this says that the training rows do not determine a row
 LEAST_INSIDE = 0.5  # share of test rows within 95 % bounds; below, they are not of this robot
+
+Mistake = Callable[[Ints], str]  # which supposition explains all rows, those of an index too
 
 
 def refuse_few_poses(rows: Measurements, left_out: int = 0) -> None:
@@ -53,21 +63,45 @@ def _few_poses(rows: Measurements, own: Sequence[int], left_out: int) -> str:
     )
 
 
-def refuse_absurd(arm: Arm, rows: Measurements, miss_mm: Array) -> None:
-    """Refuse errors larger than any robot's."""
-    bad = np.flatnonzero(~(miss_mm <= ABSURD_MM))
-    if len(bad):
-        # Without the rows that show it the others fit, and a wrong arm would correct them.
-        found = supposition(arm, rows, float(miss_mm[bad].max()), bad.tolist())
-        fitting = f"they fit if {found}: correct the files, and keep these rows"
-        act = fitting if found else "mend or remove them"
+def refuse_unplaced(error: FrameError | FitError, mistake: str) -> NoReturn:
+    raise FitError(f"{error}; {_act(mistake, CHECK_ROBOT)}") from error
+
+
+def refuse_another_robot(rows: Measurements, nominal_mm: Array, mistake: Mistake) -> None:
+    """Refuse rows of which nominal kinematics miss half grossly, and no robot is identified."""
+    half_mm = float(np.median(nominal_mm))
+    if not half_mm <= ABSURD_MM:
+        every = np.arange(len(rows))
         raise FitError(
-            f"{rows.source}: {len(bad)} of {len(rows)} training rows miss grossly, expected "
-            f"<= {ABSURD_MM:g} mm: {_named(rows, bad, miss_mm)}; {act}"
+            f"{rows.source}: nominal kinematics miss half of the measured targets by {half_mm:.4g} "
+            f"mm or more, expected <= {ABSURD_MM:g} mm: {_act(mistake(every), CHECK_ROBOT)}"
         )
 
 
-def refuse_many(rows: Measurements, bad: Bools, miss_mm: Array) -> None:
+def refuse_gross(rows: Measurements, miss_mm: Array, mistake: Mistake) -> None:
+    """Refuse misses that no slip explains: without these rows a wrong arm may fit the others."""
+    bad = np.flatnonzero(~(miss_mm <= ABSURD_MM))
+    if len(bad):
+        act = _act(mistake(bad), f"mend or remove them, and {CHECK_ROBOT}")
+        raise FitError(
+            f"{rows.source}: {len(bad)} of {len(rows)} rows miss grossly, expected <= {ABSURD_MM:g} "
+            f"mm: {_named(rows, bad, miss_mm)}; {act}"
+        )
+
+
+def refuse_unidentified(
+    rows: Measurements, nominal_mm: Array, error: IdentificationError, mistake: Mistake
+) -> None:
+    """Refuse rows that identify no robot, but would without a mistake or many outliers."""
+    doubtful_mm = 3.0
+    if not (isinstance(error, ManyContradict) or np.median(nominal_mm) > doubtful_mm):
+        return
+    says = mistake(np.arange(len(rows)))
+    if says or isinstance(error, ManyContradict):
+        raise FitError(f"{rows.source}: {error}; {_act(says, CHECK_ROBOT)}") from error
+
+
+def refuse_many(rows: Measurements, bad: Bools, miss_mm: Array, mistake: Mistake) -> None:
     """Refuse more outliers than slips explain."""
     struck = np.flatnonzero(bad)
     most_struck = 0.1  # share of training rows left out; beyond, they are no single slips
@@ -79,40 +113,81 @@ def refuse_many(rows: Measurements, bad: Bools, miss_mm: Array) -> None:
         suspect = f"reflector {target}, {own} of them: it may have moved on the flange"
     raise FitError(
         f"{rows.source}: {len(struck)} of {len(rows)} training rows contradict the others, "
-        f"expected at most {most_struck:.0%}: {_named(rows, struck, miss_mm)}; check {suspect}, "
-        "and measure again"
+        f"expected at most {most_struck:.0%}: {_named(rows, struck, miss_mm)}; "
+        f"{_act(mistake(struck), f'check {suspect}, and measure again')}"
     )
 
 
-def refuse_undetermined(test: Measurements, miss_mm: Array, bound_mm: Array) -> None:
-    """Refuse test rows that the training rows do not determine: other orientations, off
-    one line.
-    """
-    bad = np.flatnonzero(~(bound_mm <= UNDETERMINED_MM))
-    if len(bad):
-        rest = "no other row is left"
-        if len(bad) < len(test):
-            left = statistics.figures_of(statistics.lengths_mm(np.delete(miss_mm, bad, axis=0)))
-            figures = " / ".join(f"{value:.4f}" for value in left)
-            rest = f"the others are missed by {figures} mm (mean / p95 / max)"
+def refuse_mistaken(
+    rows: Measurements, bad: Bools, miss_mm: Array, estimate: Estimate, mistake: Mistake
+) -> None:
+    """Refuse rows that a supposition explains better, and a robot unlike the robot file's."""
+    far, scatter_mm = _farthest(estimate), estimate.noise.reading_mm
+    doubtful = far[1] > 6.0 or scatter_mm > 0.5  # standard deviations; mm
+    struck = np.flatnonzero(bad)
+    if not (len(struck) or doubtful):
+        return
+    if says := mistake(struck):
+        left = f"the identified robot leaves {scatter_mm:.3g} mm"
+        if len(struck):
+            named = _named(rows, struck, miss_mm)
+            left = f"{len(struck)} of {len(rows)} rows contradict the others: {named}"
+        raise FitError(f"{rows.source}: {left}; {_act(says, '')}")
+    name, sigmas, value = far
+    most_sigmas = 25.0
+    if not sigmas <= most_sigmas:
+        most = abs(value) / sigmas * most_sigmas
         raise FitError(
-            f"{test.source}: {len(bad)} of {len(test)} rows are not determined by the training "
-            f"rows, expected 95 % bounds <= {UNDETERMINED_MM:g} mm: {_named(test, bad, bound_mm)}; "
-            f"{rest}; measure poses with other orientations and places"
+            f"{rows.source}: the rows are of another robot than the robot file's: {name} differs "
+            f"by {value:.4g}, expected <= {most:.3g}; {_act('', CHECK_ROBOT)}"
         )
 
 
+def _farthest(estimate: Estimate) -> tuple[str, float, float]:
+    """The link parameter farthest from nominal: name, in standard deviations, and difference."""
+    kinematics = estimate.kinematics
+    links = slice(kinematics.placed, kinematics.placed + kinematics.links)
+    values = kinematics.flat(estimate.state)[links]
+    sigmas = np.abs(values) / np.sqrt(np.diag(kinematics.prior[1]))[links]
+    n = int(np.argmax(sigmas))
+    return kinematics.names[links][n], float(sigmas[n]), float(values[n])
+
+
+def _act(mistake: str, act: str) -> str:
+    if mistake:
+        return f"they fit if {mistake}: correct the files, and keep these rows"
+    return f"{act}; no mistake explains all rows (tried: {TRIED})"
+
+
+def undetermined(test: Measurements, bound_mm: Array, limit_mm: float) -> Ints:
+    """Test rows (U,) that the training rows do not determine: other orientations, off one line.
+    Raises `FitError` where none is left.
+    """
+    bad = np.flatnonzero(~(bound_mm <= limit_mm))
+    if len(bad) == len(test):
+        raise FitError(
+            f"{test.source}: {len(bad)} of {len(test)} rows are not determined by the training "
+            f"rows, expected 95 % bounds <= {limit_mm:.3g} mm: {_named(test, bad, bound_mm)}; "
+            "measure training poses with other orientations and places"
+        )
+    return bad
+
+
 def refuse_contradicting(
-    test: Measurements, chosen: str, share: float, bound_mm: float, mean_mm: float
-) -> None:
+    test: Measurements, chosen: str, share: float, bound_mm: float, mean_mm: float,
+    mistake: Mistake,
+) -> None:  # fmt: skip
     """Refuse test rows that violate the bounds: corrections would be as wrong."""
     if not share >= LEAST_INSIDE:
+        states = (
+            "the robot's state (zeros, load, temperature) or the tracker's set-up differ from the "
+            "training rows'; measure both files in one state"
+        )
+        act = _act(mistake(np.arange(len(test))), states)
         raise FitError(
             f"{test.source}: {share:.1%} of {len(test)} rows are within the 95 % bounds "
             f"of {chosen} ({bound_mm:.4f} mm mean), expected >= {LEAST_INSIDE:.0%}; it "
-            f"misses them by {mean_mm:.4f} mm in the mean: the robot's state (zeros, load, "
-            "temperature), the tracker's set-up or the units differ from the training rows'; "
-            "measure both files in one state"
+            f"misses them by {mean_mm:.4f} mm in the mean; {act}"
         )
 
 

@@ -115,7 +115,7 @@ def identify(
     `IdentificationError` for fewer poses, no convergence, or too many outliers.
     """
     _refuse_too_few(readings)
-    state, outliers = _robust(kinematics, readings, start)
+    state, outliers = robust(kinematics, readings, start)
     for _ in range(4):  # rounds of noise and outliers
         _refuse_too_many(outliers, readings)
         estimate = identify_trusted(kinematics, readings.without(outliers), state, noise)
@@ -142,12 +142,7 @@ def identify_trusted(
         noise = noise.improved(system.weighted, system.precision, linearised.by_joint, system.known)
         if noise.changed(before) <= 0.01:
             break
-    if not noise.reading_mm <= UNEXPLAINED_MM:
-        raise IdentificationError(
-            f"kinematics leave {noise.reading_mm:.3g} mm of scatter, expected <= "
-            f"{UNEXPLAINED_MM:g} mm; check robot, units, joint signs, and that poses "
-            "and readings belong together"
-        )
+    _refuse_unexplained(noise.reading_mm)
     state, system = solve(kinematics, readings, state, noise)
     return Estimate(kinematics, readings, state, noise, system, np.zeros_like(readings.known))
 
@@ -201,37 +196,57 @@ def _bent(
     return step + bend if added <= most_bent * size else step
 
 
-def _robust(kinematics: Kinematics, readings: Readings, state: State) -> tuple[State, Bools]:
-    """A state that is robust against outliers, and these (M, K)."""
-    scale_mm, least_scale_mm = 0.5, 0.005
-    known = readings.known
-    own_mm2 = np.where(known[..., None, None], readings.covariance_mm2, 0.0)
-    lengths_mm = np.zeros(known.shape)
-    linearised = kinematics.linearised(state, readings.joints_rad)
+def robust(kinematics: Kinematics, readings: Readings, state: State) -> tuple[State, Bools]:
+    """Return a state that is robust against outliers, and these (M, K)."""
+    least_scale_mm, first_scale_mm = 0.005, 0.5
+    own_mm2 = np.where(readings.known[..., None, None], readings.covariance_mm2, 0.0)
     cauchy = 2.5  # scales from which on a reading's pull fades
-    for _ in range(12):
-        fading = (lengths_mm / (cauchy * scale_mm)) ** 2
+    linearised = kinematics.linearised(state, readings.joints_rad)
+    misses = _Misses(readings, linearised, own_mm2, first_scale_mm)
+    scale_mm = max(misses.scale_mm, least_scale_mm)
+    rounds, most_held, damping = 12, 1e3, 0.0
+    while rounds and damping <= most_held:
+        fading = (misses.lengths_mm / (cauchy * scale_mm)) ** 2
         covariance_mm2 = own_mm2 + fading[..., None, None] * (own_mm2 + scale_mm**2 * np.eye(3))
         weighted = replace(readings, covariance_mm2=covariance_mm2)
         noise = Noise.independent(scale_mm, len(kinematics.arm))
         system = System.of(kinematics, state, weighted, noise, linearised)
-        state = kinematics.moved(state, system.step)
-        linearised = kinematics.linearised(state, readings.joints_rad)
+        further = kinematics.moved(state, system.damped(damping)[1] if damping else system.step)
+        there = kinematics.linearised(further, readings.joints_rad)
+        if not System.of(kinematics, further, weighted, noise, there).cost <= system.cost + 1e-6:
+            damping = max(10.0 * damping, 1e-3)
+            continue
+        state, linearised, damping, rounds = further, there, damping / 5.0, rounds - 1
+        misses = _Misses(readings, linearised, own_mm2, scale_mm)
+        shown, telling = misses.shown, misses.telling
+        left = diagonal_blocks(system.precision) @ diagonal_blocks(system.noise_mm2) @ shown
+        share = float(np.einsum("rii->", left[telling]) / misses.count[telling].sum())
+        scale_mm = max(misses.scale_mm / max(share, 0.1) ** 0.5, least_scale_mm)
+    _refuse_unexplained(scale_mm)
+    return state, misses.lengths_mm > GROSS * scale_mm
+
+
+class _Misses:
+    """Misses at a scale: ``lengths_mm`` (M, K) by it and the readings' own covariance.
+
+    ``telling``: readings with most coordinates whose own covariance does not hide the scale,
+    ``shown`` (M, K, 3, 3), ``count`` (M, K) in number; ``scale_mm``: the scale that they have.
+    """
+
+    def __init__(
+        self, readings: Readings, linearised: Linearised, own_mm2: Array, scale_mm: float
+    ) -> None:
+        known = readings.known
         missed = np.where(known[..., None], readings.xyz_mm - linearised.positions_mm, 0.0)
         total_mm2 = own_mm2 + scale_mm**2 * np.eye(3)
         whitened = np.linalg.solve(np.linalg.cholesky(total_mm2), missed[..., None])[..., 0]
-        lengths_mm = scale_mm * np.linalg.norm(whitened, axis=-1)
-        # Coordinates whose own covariance does not hide the scale; readings with most of them.
-        shown = scale_mm**2 * np.linalg.inv(total_mm2)
-        count = np.einsum("mkii->mk", shown)
-        telling = known & (count > 0.5 * count[known].max())
-        left = diagonal_blocks(system.precision) @ diagonal_blocks(system.noise_mm2) @ shown
-        count, left = count[telling], left[telling]
-        share = max(float(np.einsum("rii->", left) / count.sum()), 0.1)
+        self.lengths_mm = scale_mm * np.linalg.norm(whitened, axis=-1)
+        self.shown = scale_mm**2 * np.linalg.inv(total_mm2)
+        self.count = np.einsum("mkii->mk", self.shown)
+        self.telling = known & (self.count > 0.5 * self.count[known].max())
+        count = self.count[self.telling]
         usual = np.sqrt(count * (1.0 - 2.0 / (9.0 * count)) ** 3)  # median length (Wilson-Hilferty)
-        middle_mm = float(np.median(lengths_mm[telling] / usual))
-        scale_mm = max(middle_mm / share**0.5, least_scale_mm)
-    return state, lengths_mm > GROSS * scale_mm
+        self.scale_mm = float(np.median(self.lengths_mm[self.telling] / usual))
 
 
 def _gross(system: System) -> Bools:
@@ -251,6 +266,14 @@ def _refuse_too_few(readings: Readings) -> None:
     if poses < LEAST_POSES:
         raise IdentificationError(
             f"kinematics: {counted(poses, 'pose')}, expected at least {LEAST_POSES}; measure more"
+        )
+
+
+def _refuse_unexplained(scatter_mm: float) -> None:
+    if not scatter_mm <= UNEXPLAINED_MM:
+        raise IdentificationError(
+            f"kinematics leave {scatter_mm:.3g} mm of scatter, expected <= {UNEXPLAINED_MM:g} mm; "
+            "check robot, units, joint signs, and that poses and readings belong together"
         )
 
 

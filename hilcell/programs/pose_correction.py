@@ -29,7 +29,6 @@ from hilcell.compensation.targets import HEADER, Stamp, read_named_rows, target_
 from hilcell.fit.measurements import Measurements
 from hilcell.fit.methods import Method, RobotFit
 from hilcell.fit.placement import FitError
-from hilcell.fit.refusals import UNDETERMINED_MM
 from hilcell.fit.robot_file import Robot
 from hilcell.geometry.frames import (
     FrameError,
@@ -94,6 +93,7 @@ class PoseCorrection:
     method: Method
     controller: Controller
     reach: Reach
+    limit_mm: float
 
     @classmethod
     def of(cls, fit: RobotFit, tool: str) -> Self:
@@ -108,7 +108,7 @@ class PoseCorrection:
         with_tool = replace(robot, tool=shifted(robot.tool, controller.tool_mm))
         known = np.unique(train.joints_rad, axis=0)
         known = known[:: len(known) // most_known + 1]
-        return cls(method, controller, Reach(with_tool, known))
+        return cls(method, controller, Reach(with_tool, known), fit.result["undetermined_mm"])
 
     def of_poses(self, poses: ArrayLike, names: Sequence[str] = ()) -> CorrectedPoses:
         """Corrected poses (N, 4, 4) of the tool point in the robot's root frame.
@@ -132,9 +132,9 @@ class PoseCorrection:
         command[:, :3, 3] -= errors.error_mm
         bounds = combined_bounds(errors.covariance_mm2, [], np.eye(4), poses)
         refuse(
-            ~(bounds.radii_mm <= UNDETERMINED_MM),
+            ~(bounds.radii_mm <= self.limit_mm),
             names,
-            f"targets have 95 % bounds over {UNDETERMINED_MM:g} mm",
+            f"targets have 95 % bounds over {self.limit_mm:.3g} mm",
             "the training rows do not determine them; measure poses near them",
         )
         return CorrectedPoses(names, poses, command, joints_rad, bounds, self.reach)

@@ -222,10 +222,13 @@ def test_nothing_is_corrected_where_no_method_helps(
 
 def test_undetermined_targets_are_named(
     folder: Path,
+    found: RobotFit,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("hilcell.programs.pose_correction.UNDETERMINED_MM", 1e-6)
+    result: FitResult = {**found.result, "undetermined_mm": 1e-6}
+    changed = replace(found, result=result)
+    monkeypatch.setattr("hilcell.commands.targets.fit_robot", lambda robot, train, test: changed)
     rows = joint_rows(IRB120, ["a", "b"], drawn(2, 2))
     write_list(tmp_path / "t.csv", joint_header(IRB120), rows)
     words = ("--correct", tmp_path / "t.csv", "--tool", "SMR1", "-o", tmp_path / "c.csv")
