@@ -110,7 +110,7 @@ def _of_a_list(arm: Arm, rows: Measurements) -> Iterator[Supposed]:
     yield from _units(arm, rows)
     yield from _joints(arm, rows)
     mirrored = replace(rows, xyz_mm=rows.xyz_mm * [1.0, 1.0, -1.0])
-    yield "xyz are left-handed: one axis is negated, or two are exchanged", mirrored
+    yield "xyz are left-handed: one axis is negated or two are exchanged", mirrored
     yield from _out_of_step(rows)
 
 

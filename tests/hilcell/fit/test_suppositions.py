@@ -1,0 +1,127 @@
+"""Mistakes in lists are named, wrong ones never, and no row that shows one is struck out."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hilcell.fit.measurements import Measurements
+from hilcell.fit.methods import fit_robot
+from hilcell.fit.placement import FitError
+from hilcell.geometry.frames import apply, pose_from_zyx
+from tests.hilcell.fit.test_fit import IRB120, measured, measured_at, turned_alike
+
+Spoil = Callable[[Measurements], Measurements]
+
+
+def joints(change: Callable[[np.ndarray], np.ndarray]) -> Spoil:
+    return lambda rows: replace(rows, joints_rad=change(rows.joints_rad.copy()))
+
+
+def xyz(change: Callable[[np.ndarray], np.ndarray]) -> Spoil:
+    return lambda rows: replace(rows, xyz_mm=change(rows.xyz_mm.copy()))
+
+
+def coupled(axis: int, sign: float) -> Spoil:
+    """Shown as if joint axis + 1 counted the one before it too."""
+    return joints(
+        lambda q: q + sign * np.eye(6)[axis] * np.roll(q, 1, axis=1) * (np.arange(6) == axis)
+    )
+
+
+def exchanged(poses: int) -> Spoil:
+    def spoil(rows: Measurements) -> Measurements:
+        of = set(list(dict.fromkeys(rows.pose))[3 : 3 + poses])
+        other = {"SMR1": "SMR2", "SMR2": "SMR1"}
+        target = [
+            other[name] if pose in of else name
+            for pose, name in zip(rows.pose, rows.target, strict=True)
+        ]
+        return replace(rows, target=target)
+
+    return spoil
+
+
+@pytest.mark.parametrize(
+    ("spoil", "named"),
+    [
+        (joints(np.degrees), "the joints are degrees twice converted"),
+        (xyz(lambda x: x / 25.4), "the positions are inches"),
+        (joints(lambda q: q * [1, -1, 1, 1, 1, 1]), "joint 2 turns the other way"),
+        (coupled(2, -1.0), "joint 3 turns with joint 2"),
+        (coupled(4, 1.0), "joint 5 turns against joint 4"),
+        (joints(lambda q: q + np.radians([0, 0, 90, 0, 0, 0])), "joint 3 is off by -90 deg"),
+        (xyz(lambda x: x[:, [1, 0, 2]]), "xyz are left-handed"),
+        (exchanged(1), "SMR1 and SMR2 are exchanged in 1 pose"),
+        (exchanged(10), "SMR1 and SMR2 are exchanged in 10 pose"),
+    ],
+)
+def test_the_mistake_that_explains_the_rows_is_named(spoil: Spoil, named: str) -> None:
+    rows = measured(1, 24, ["SMR1", "SMR2"])
+    with pytest.raises(FitError, match=f"they fit if .*{named}") as refused:
+        fit_robot(IRB120, spoil(rows))
+    assert ", or " not in str(refused.value)
+
+
+def test_mistakes_that_explain_alike_are_both_named() -> None:
+    """Without a shoulder offset, half a turn of joint 1 makes one of the other."""
+    rows = measured(1, 24, ["SMR1"])
+    spoilt = joints(lambda q: q + np.radians([0, 180, 0, 0, 0, 0]))(rows)
+    both = "joint 2 turns the other way, or the zero of joint 2 is off by 180 deg"
+    with pytest.raises(FitError, match=f"they fit if {both}"):
+        fit_robot(IRB120, spoilt)
+
+
+def test_a_coupling_that_few_rows_show_by_millimetres_is_named() -> None:
+    """They would be struck out as slips, and the robot corrected as if it were serial."""
+    rows = measured(1, 60, ["SMR1"])
+    true = rows.joints_rad.copy()
+    true[:, 1] = np.where(np.arange(60) % 12 == 0, 0.01, 0.0)
+    shown = true.copy()
+    shown[:, 2] -= true[:, 1]
+    with pytest.raises(FitError, match=r"5 of 60 .* they fit if joint 3 turns with joint 2:"):
+        fit_robot(IRB120, replace(measured_at(true, rows), joints_rad=shown))
+
+
+def test_rows_that_no_mistake_explains_say_so() -> None:
+    rows = measured(1, 24, ["SMR1", "SMR2"])
+    other = np.random.default_rng(3).permutation(24)
+    shuffled = rows.joints_rad.reshape(24, 2, 6)[other].reshape(48, 6)
+    with pytest.raises(FitError, match="no mistake explains all rows") as refused:
+        fit_robot(IRB120, replace(rows, joints_rad=shuffled))
+    assert "they fit if" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "named"),
+    [
+        (joints(lambda q: q * [1, 1, 1, 1, -1, 1]), "joint 5 turns the other way"),
+        (
+            xyz(lambda x: apply(pose_from_zyx(3.0, -1.0, 2.0, 0.1, 0.0, 0.0), x)),
+            "tracker or robot moved between the files",
+        ),
+    ],
+)
+def test_a_mistake_in_test_rows_is_named(spoil: Spoil, named: str) -> None:
+    rows, test = measured(1, 24, ["SMR1"]), measured(2, 12, ["SMR1"])
+    with pytest.raises(FitError, match=f"they fit if {named}"):
+        fit_robot(IRB120, rows, spoil(test))
+
+
+def test_undetermined_rows_are_named_and_the_others_judged() -> None:
+    rows = measured(1, 25, ["SMR1"])
+    train, test, others = (
+        measured_at(turned_alike(seed, 25, turned_deg), rows)
+        for seed, turned_deg in ((1, 20.0), (2, 20.0), (3, 30.0))
+    )
+    mixed = replace(
+        test,
+        joints_rad=np.concatenate([test.joints_rad[:20], others.joints_rad[:5]]),
+        xyz_mm=np.concatenate([test.xyz_mm[:20], others.xyz_mm[:5]]),
+    )
+    result = fit_robot(IRB120, train, mixed).result
+    assert [row["pose"] for row in result["undetermined"]] == mixed.pose[20:]
+    assert all(row["bound_mm"] > result["undetermined_mm"] for row in result["undetermined"])
+    assert (result["rows"], result["train"], result["test"]) == (25, 25, 20)
+    assert result["methods"][result["chosen"]]["mean_mm"] < 0.06
