@@ -84,8 +84,8 @@ def refuse_gross(rows: Measurements, miss_mm: Array, mistake: Mistake) -> None:
     if len(bad):
         act = _act(mistake(bad), f"mend or remove them, and {CHECK_ROBOT}")
         raise FitError(
-            f"{rows.source}: {len(bad)} of {len(rows)} rows miss grossly, expected <= {ABSURD_MM:g} "
-            f"mm: {_named(rows, bad, miss_mm)}; {act}"
+            f"{rows.source}: {len(bad)} of {len(rows)} rows miss grossly, expected <= "
+            f"{ABSURD_MM:g} mm: {_named(rows, bad, miss_mm)}; {act}"
         )
 
 
