@@ -65,10 +65,10 @@ def test_the_mistake_that_explains_the_rows_is_named(spoil: Spoil, named: str) -
 
 
 def test_mistakes_that_explain_alike_are_both_named() -> None:
-    """Without a shoulder offset, half a turn of joint 1 makes one of the other."""
+    """Without a shoulder offset, the arm behind its base is the one before it, turned back."""
     rows = measured(1, 24, ["SMR1"])
     spoilt = joints(lambda q: q + np.radians([0, 180, 0, 0, 0, 0]))(rows)
-    both = "joint 2 turns the other way, or the zero of joint 2 is off by 180 deg"
+    both = "joint 1 turns the other way, or the zero of joint 2 is off by 180 deg"
     with pytest.raises(FitError, match=f"they fit if {both}"):
         fit_robot(IRB120, spoilt)
 
