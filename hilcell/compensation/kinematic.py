@@ -37,9 +37,12 @@ from hilcell.identification.estimate import (
 )
 from hilcell.identification.kinematics import Kinematics, Placed, State, TransmissionCurve
 from hilcell.identification.measured_poses import IdentificationError, Noise
+from hilcell.identification.static_curves import static_curves
 from hilcell.model.verdicts import CurvesUsed
 
 MOST_MM, MOST_RAD = 1e5, 1e3  # beyond is no robot's length or angle
+LARGE_AXES = 3  # whose errors have levers of metres
+CLEARLY = 0.98  # of the mean miss of poses left out, for more parameters to be taken
 
 
 class RobotEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -304,12 +307,16 @@ def _identified(measured: MeasuredArm) -> tuple[Estimate, CurvesUsed]:
         with_ = min(with_, _with_curves(without, kept), key=_mean_mm)
     both = [_mean_mm(each) for each in (with_, without)]
     used = both[0] < both[1]
-    which = ", ".join(f"{curve.axis + 1}" for curve in with_.kinematics.curves)
+    swept = with_.kinematics.curves
+    if used:
+        with_ = _with_static_curves(with_)
     reason = (
         f"{'used' if used else 'not used'}: static poses that no sweep saw, left out in turn, are "
-        f"missed by {both[0]:.4f} mm in the mean with the curves of axes {which}, by "
+        f"missed by {both[0]:.4f} mm in the mean with the curves of axes {_axes(swept)}, by "
         f"{both[1]:.4f} mm without"
     )
+    if more := with_.kinematics.curves[len(swept) :]:
+        reason += f"; axes {_axes(more)} err smoothly by these poses alone"
     return (with_ if used else without), CurvesUsed(used, reason, *both)
 
 
@@ -318,11 +325,29 @@ def seats_mm(measured: Measured) -> Array:
     return _identified(_arm(measured))[0].state.smr_mm
 
 
+def _axes(curves: tuple[TransmissionCurve, ...]) -> str:
+    return ", ".join(f"{curve.axis + 1}" for curve in curves)
+
+
 def _with_curves(without: Estimate, curves: tuple[TransmissionCurve, ...]) -> Estimate:
     kinematics = replace(without.kinematics, curves=curves)
     start = kinematics.start(without.state.T, without.state.smr_mm)
     found = identify_trusted(kinematics, without.readings, start, without.noise)
     return replace(found, outliers=without.outliers)
+
+
+def _with_static_curves(swept: Estimate) -> Estimate:
+    """Add smooth errors of the wrist's axes that no curve describes, where these predict poses
+    better that are left out. Ripple of a large axis, whose angles repeat on a grid, would be taken
+    for one.
+    """
+    described = {curve.axis for curve in swept.kinematics.curves}
+    wrist = range(LARGE_AXES, len(swept.kinematics.arm))
+    more = static_curves(swept, (axis for axis in wrist if axis not in described))
+    if not more:
+        return swept
+    found = _with_curves(swept, (*swept.kinematics.curves, *more))
+    return found if _mean_mm(found) < CLEARLY * _mean_mm(swept) else swept
 
 
 def _contradicted(estimate: Estimate) -> list[bool]:
@@ -347,8 +372,7 @@ def _better(estimate: Estimate, richer: Kinematics) -> Estimate:
     """Richer kinematics where poses left out are predicted significantly better."""
     start = richer.start(estimate.state.T, estimate.state.smr_mm)
     other = identify_trusted(richer, estimate.readings, start, estimate.noise)
-    clearly = 0.98  # of the mean miss of poses left out, for more parameters to be taken
-    better = _mean_mm(other) < clearly * _mean_mm(estimate)
+    better = _mean_mm(other) < CLEARLY * _mean_mm(estimate)
     return replace(other, outliers=estimate.outliers) if better else estimate
 
 
@@ -363,9 +387,8 @@ def _excess(estimate: Estimate) -> float:
     What no parameter describes is mostly the gears', and repeats where a joint's angle repeats, as
     on a grid. So all poses that share an angle of one of the large axes are left out together.
     """
-    large_axes = 3  # whose errors have levers of metres
     same_rad = np.radians(0.1)  # less than half the shortest wave of a gear
-    steps = np.round(estimate.readings.joints_rad[:, :large_axes] / same_rad)
+    steps = np.round(estimate.readings.joints_rad[:, :LARGE_AXES] / same_rad)
     found = [1.0]
     for angles in steps.T:
         group = np.unique(angles, return_inverse=True)[1]

@@ -13,6 +13,8 @@ import numpy as np
 
 from hilcell.geometry.kinematics import Array
 
+HIGHEST = 45.0  # cycles per revolution of a smooth error
+
 
 @dataclass(frozen=True, slots=True)
 class Matern:

@@ -28,6 +28,7 @@ from hilcell.geometry.kinematics import Arm, Array
 from hilcell.geometry.statistics import rms
 from hilcell.identification.axis_motion import BadStream, Motion, SweepStream, axis_motion
 from hilcell.identification.kinematics import TransmissionCurve
+from hilcell.identification.smooth_error import HIGHEST as SMOOTH_HIGHEST
 from hilcell.identification.smooth_error import Regression, most_likely
 from hilcell.model.events import URAD, CurveMeasured
 
@@ -558,7 +559,7 @@ def _line_noise_rad(noises: tuple[Noise, ...], cycles: Array) -> Array:
 def with_smooth(found: Found, noises: tuple[Noise, ...]) -> Found:
     """Add a smooth error where the evidence is for it."""
     records, lines = found.records, found.lines
-    highest = max(45.0, records.lowest)  # cycles per revolution
+    highest = max(SMOOTH_HIGHEST, records.lowest)
     ranges = 3.0  # after which the smooth error repeats
     cycles = np.arange(1.0, highest * ranges / records.width) * records.width / ranges
     geometry = records.each_direction(records.GEOMETRY_RAD)

@@ -12,7 +12,7 @@ from hilcell.cell.file import load_cell
 from hilcell.compensation.kinematic import Kinematic, _excess, _identified, curves_used
 from hilcell.compensation.model import Measured, MeasuredArm, ModelError, StaticPoses
 from hilcell.compensation.model_choice import MODELS, Nominal, choose, chosen
-from hilcell.geometry.kinematics import Array
+from hilcell.geometry.kinematics import Array, forward
 from hilcell.geometry.statistics import Figures, lengths_mm
 from hilcell.identification.kinematics import Kinematics, State, TransmissionCurve
 from hilcell.identification.measured_poses import IdentificationError, Readings
@@ -98,6 +98,28 @@ def test_curves_that_help_are_used() -> None:
     without, with_ = Kinematic.learn(measured(64)), Kinematic.learn(measured(64, WAVES))
     assert with_.decision.used
     assert missed_mm(with_).mean() < 0.7 * missed_mm(without).mean()
+
+
+def test_an_axis_that_was_not_swept_errs_smoothly_as_its_poses_show() -> None:
+    arm, size_rad = arm_of(data := measured(64, WAVES)), 300e-6
+    bent = arm.readings.joints_rad.copy()
+    bent[:, 3] += size_rad * np.sin(8.0 * bent[:, 3])
+    moved_mm = (forward(ROBOT.arm, bent) - forward(ROBOT.arm, arm.readings.joints_rad))[:, :3, 3]
+    readings = replace(arm.readings, xyz_mm=arm.readings.xyz_mm + moved_mm[:, None])
+    model = Kinematic.learn(replace(data, arm=replace(arm, readings=readings)))
+    assert {curve.axis for curve in model.kinematics.curves} == {0, 3, 4, 5}
+    assert model.decision.reason.endswith("; axes 4, 5, 6 err smoothly by these poses alone")
+    low, high = np.quantile(arm.readings.joints_rad[:, 3], [0.05, 0.95])
+    q = np.linspace(low, high, 50)
+    at = np.tile(arm.readings.joints_rad[0], (50, 1))
+    at[:, 3] = q
+    error_rad = model.kinematics.joints_of(model.state, at)[:, 3] - q
+    off = error_rad - size_rad * np.sin(8.0 * q)
+    assert np.std(off - np.polyval(np.polyfit(q, off, 1), q)) < 0.3 * size_rad
+    entry = json.loads(json.dumps(model.parameters()))
+    again = Kinematic.restore(GRID, np.zeros((*GRID.shape, 3)), entry)
+    poses = poses_at(drawn_mm(9, 5))
+    np.testing.assert_allclose(again.predict(poses).error_mm, model.predict(poses).error_mm)
 
 
 def test_curves_that_harm_are_not_used() -> None:
