@@ -115,8 +115,14 @@ class _Robot(msgspec.Struct, frozen=True):
 
 class _Settle(msgspec.Struct, frozen=True):
     robot_s: float = 1.0
+    robot_least_s: float = math.inf  # on a quick plan
+    rail_least_s: float = math.inf
     rail_s: float = 2.0
     reading_age_s: float = 0.5  # at most
+
+
+class _Plan(msgspec.Struct, frozen=True):
+    quick: bool = False
 
 
 class _Layout(msgspec.Struct, frozen=True):
@@ -134,9 +140,18 @@ class CellFacts(msgspec.Struct, frozen=True):
     rail: _Rail = _Rail()
     robot: _Robot = _Robot()
     settle: _Settle = _Settle()
+    plan: _Plan = _Plan()
     layout: _Layout = _Layout()
     uncertainty: _Uncertainty = _Uncertainty()
     simulation: Json | None = None
+
+    @property
+    def rests_s(self) -> tuple[float, float]:
+        """Return the shortest rests of robot and slide before a measurement."""
+        settle = self.settle
+        if not self.plan.quick:
+            return settle.robot_s, settle.rail_s
+        return min(settle.robot_s, settle.robot_least_s), min(settle.rail_s, settle.rail_least_s)
 
 
 @dataclass(slots=True)
@@ -449,10 +464,10 @@ class Checker(RecordedRun):
         yield "I2", held, f"{key}: strip {strip_mm:.2f} mm at {name}"
 
     def _times(self, key: str, readings: Readings) -> Iterator[Check]:
-        taken_s, settle = readings.tracker.taken_s, self.cell.settle
-        axes = [("slide", readings.rail, self.rail_moved, settle.rail_s)]
+        taken_s, (robot_s, rail_s) = readings.tracker.taken_s, self.cell.rests_s
+        axes = [("slide", readings.rail, self.rail_moved, rail_s)]
         if readings.robot is not None:
-            axes.append(("robot", readings.robot, self.robot_moved, settle.robot_s))
+            axes.append(("robot", readings.robot, self.robot_moved, robot_s))
         for name, reading, moved, rest_s in axes:
             if moved:
                 rested_s = math.nan if reading.ended_s is None else taken_s - reading.ended_s

@@ -9,7 +9,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from hilcell.calibration.grid import grid_of
-from hilcell.cell.devices import abilities
+from hilcell.cell.devices import Rests, abilities
 from hilcell.cell.file import Cell
 from hilcell.decoding import typed
 from hilcell.geometry.frames import apply, inverse
@@ -30,6 +30,9 @@ from hilcell.run.procedure import Result
 from procedures import plan
 
 DIRECTIONS = ("up", "down")
+LARGE_AXES = 3  # with levers of metres
+# On a quick plan: two periods of waves of 13 deg and more; the wrist's weigh less.
+QUICK_DEG, WRIST_DEG = 27.0, 13.0
 
 
 class Swept(StepResult, frozen=True, kw_only=True):
@@ -100,7 +103,9 @@ class AxisSweeps:
                 below_rad = below(cell, start_rad)
                 seconds += float(plan.robot_moves_s(cell, here_rad, below_rad, percent))
                 seconds += float(plan.robot_moves_s(cell, below_rad, start_rad, percent))
-                seconds += cell.settle.robot_s + self.STREAM_S + turn_deg / cell.sweeps.speed_deg_s
+                seconds += (
+                    Rests.of(cell).robot_s + self.STREAM_S + turn_deg / cell.sweeps.speed_deg_s
+                )
                 here_rad = end_rad
         count = len(DIRECTIONS) * len(self.axes(cell))
         return PlannedStep.of_spans(
@@ -212,20 +217,19 @@ class AxisSweeps:
 
     @staticmethod
     def axes(cell: Cell) -> list[int]:
-        """Return the axes to sweep, 1 to 6: on a quick plan those that move the tool point most.
+        """Return the axes to sweep, 1 to 6.
 
         Not axis 2 where its joint turns axis 3, too: a sweep moves one joint.
         """
-        alone = [axis for axis in cell.sweeps.axes if axis != 2 or not cell.robot.arm().coupling]
-        return [axis for axis in alone if axis <= 3 or not cell.plan.quick]
+        return [axis for axis in cell.sweeps.axes if axis != 2 or not cell.robot.arm().coupling]
 
 
 def left_out(cell: Cell) -> str:
     """Return why no axis of the cell is swept and the consequence; "" where some are."""
-    able, expected = abilities(cell), "axes 1 to 3" if cell.plan.quick else "the axes"
+    able = abilities(cell)
     obstacles = {
         "sweeps.enabled is false in the cell file": not cell.sweeps.enabled,
-        f"sweeps.axes names none of {expected}": not AxisSweeps.axes(cell),
+        "sweeps.axes names none of the axes": not AxisSweeps.axes(cell),
         "they leave the grid's cube, and the cell file states no robot.envelope": (
             cell.surroundings is None
         ),
@@ -259,7 +263,8 @@ class CubeJoints(NamedTuple):
         low_rad, high_rad = self.low_rad[axis - 1], self.high_rad[axis - 1]
         centre_rad = (low_rad + high_rad) / 2
         half_rad = (high_rad - low_rad) / 2 + np.radians(cell.sweeps.margin_deg)
-        half_rad *= 0.5 if cell.plan.quick else 1.0  # the middle of each range
+        if cell.plan.quick:  # the middle of each range
+            half_rad = min(half_rad, np.radians(QUICK_DEG if axis <= LARGE_AXES else WRIST_DEG) / 2)
         start_rad, end_rad = self.middle_rad.copy(), self.middle_rad.copy()
         start_rad[axis - 1], end_rad[axis - 1] = centre_rad - half_rad, centre_rad + half_rad
         return (start_rad, end_rad) if direction == "up" else (end_rad, start_rad)

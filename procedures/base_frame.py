@@ -9,6 +9,7 @@ import numpy as np
 from hilcell.calibration.changes import risen_nest, since_before
 from hilcell.calibration.diagnosis import misplaced_base
 from hilcell.calibration.frames import axis_6_height_mm, axis_circle, frame_of_sweeps, sweep_of
+from hilcell.cell.devices import abilities
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import base_frame_covariance
 from hilcell.journal.log import Log
@@ -151,7 +152,10 @@ def points_on_arc(cell: Cell) -> int:
     error does not reach the tool.
     """
     points = cell.base_frame.points
-    return min(points, 12) if cell.plan.quick else points
+    if not cell.plan.quick:
+        return points
+    noisy = 12  # for a total station, an order coarser than a tracker that streams
+    return min(points, FEWEST_ON_ARC if abilities(cell)["tracker_streams"] else noisy)
 
 
 def sweep(cell: Cell, axis: int) -> Array:

@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from hilcell.cell.devices import Rests
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply, from_rotvec, from_zyx, inverse, matrix, zyx_from_pose
 from hilcell.geometry.inverse import ReachError
@@ -155,7 +156,7 @@ def flange_points(cell: Cell, joints_rad: Array, *, seats: bool = False) -> Span
     percent = first_pass_percent(cell, joints_rad)
     there_s = robot_moves_s(cell, before_rad, below_rad, percent)
     landing_s = robot_moves_s(cell, below_rad, joints_rad, percent)
-    at_each_s = cell.settle.robot_s + each * measure_s(cell, cell.tracker.samples)
+    at_each_s = Rests.of(cell).robot_s + each * measure_s(cell, cell.tracker.samples)
     seconds = float(np.sum(there_s + landing_s)) + len(joints_rad) * at_each_s
     return Span("flange", each * len(joints_rad), seconds)
 
@@ -183,7 +184,7 @@ def rail_travel_s(cell: Cell, distance_mm: float) -> float:
 
 def rail_move_s(cell: Cell, distance_mm: float) -> float:
     """Return the time of a motion by the drive alone until the slide is held."""
-    return rail_travel_s(cell, distance_mm) + cell.settle.rail_s
+    return rail_travel_s(cell, distance_mm) + Rests.of(cell).rail_s
 
 
 def approach_s(cell: Cell, from_mm: float, station: Station) -> float:
@@ -191,7 +192,7 @@ def approach_s(cell: Cell, from_mm: float, station: Station) -> float:
     back_off_mm, approaches = cell.rail.back_off_mm, 2  # by the drive, then by the strip's reading
     there_s = rail_travel_s(cell, station.rail_mm - back_off_mm - from_mm)
     again_s = (2 * approaches - 1) * rail_travel_s(cell, back_off_mm)
-    return there_s + again_s + cell.settle.rail_s
+    return there_s + again_s + Rests.of(cell).rail_s
 
 
 def first_hold(cell: Cell, station: Station) -> list[Span]:
@@ -221,4 +222,4 @@ def homing_s(cell: Cell) -> float:
         return 0.0
     half_mm = (cell.rail.travel_max_mm - cell.rail.travel_min_mm) / 2
     travel_s = half_mm / min(cell.rail.homing_mm_s, cell.rail.speed_mm_s)
-    return travel_s + MOTION_END_S + cell.settle.rail_s
+    return travel_s + MOTION_END_S + Rests.of(cell).rail_s

@@ -14,12 +14,20 @@ blocks, and only there the data may be evaluated.
 
 A target above the maximum disproves the calibration. None of n shows at ``(1 - share)^n <= risk``
 that the share is less.
+
+Fewer targets do where large errors are not rarer than an exponential law has them: where the hazard
+rate of |e| rises, as for normal errors in any number of dimensions, Weibull's and gamma's law from
+the exponential on. Then ``P(e > L / c) >= share^(1 / c)`` where P(e > L) is the share or more, and
+``P(e > m) >= exp(-1)`` where the mean is m or more (Barlow and Proschan 1965, "Mathematical Theory
+of Reliability", chapter 2), so that eight targets within half the maximum and within the mean's
+limit show both. These bets and those above share one stake; the poses that the model did not learn
+from decide before the first target whether they are made.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,6 +41,7 @@ from hilcell.model.events import StationDecided
 from hilcell.model.outcome import Outcome, gravest, outcome_of
 from hilcell.model.point import Sent
 from hilcell.model.results import Decided
+from hilcell.model.verdicts import Fitted
 from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
 from procedures.plan import stations_in_order
@@ -43,11 +52,15 @@ OCTANTS = np.array(  # of a box, in an order whose every step crosses one face
 BLOCK = len(OCTANTS)
 
 
-def least_targets(cell: Cell) -> int:
-    """Return how many targets an acceptance needs at least; raises `HilcellError` where the plan
-    has fewer.
+LIGHT = 3.0  # the largest over the median of errors whose hazard rises: 2.2 +- 0.3 of normal ones
+
+
+def planned_targets(cell: Cell) -> int:
+    """Return how many targets a station needs whose errors are normal, with half the mean that is
+    accepted; raises `HilcellError` where the plan has too few for any acceptance.
     """
-    decision = SequentialRule.of(cell, Guard()).decide(np.zeros(cell.plan.most_targets))
+    rule = SequentialRule.of(cell, Guard())
+    decision = rule.decide(np.zeros(cell.plan.most_targets))
     if decision.outcome is not Outcome.ACCEPTED:
         raise HilcellError(
             f"plan.most_targets {cell.plan.most_targets}: not enough to accept a station at "
@@ -55,7 +68,9 @@ def least_targets(cell: Cell) -> int:
             f"{cell.plan.share_above_max:g}, even without any error; allow more targets",
             code="HC-C10",
         )
-    return decision.targets
+    normal = np.linalg.norm(np.random.default_rng(2014).normal(size=(BLOCK, 3)), axis=1)
+    usual_mm = np.tile(normal / normal.mean() * rule.mean_limit_mm / 2, len(normal))
+    return replace(rule, rising=True).decide(usual_mm).targets or decision.targets
 
 
 def octant_targets(cell: Cell, seed: int, low_mm: Array, high_mm: Array) -> dict[str, Array]:
@@ -75,7 +90,14 @@ def decision_at(log: Log, station: str) -> Decision:
     chosen = validation(log, [station]).get(Sent.CHOSEN)
     if chosen is None:
         return SequentialRule.of(log.cell, Guard()).decide([])
-    return SequentialRule.of(log.cell, guard_at(log, station)).decide(chosen.norms_mm)
+    rule = SequentialRule.of(log.cell, guard_at(log, station)).for_tail(tail(log))
+    return rule.decide(chosen.norms_mm)
+
+
+def tail(log: Log) -> float | None:
+    """Return the largest over the median of the errors at poses left out; None where unknown."""
+    fitted = log.verdict(Fitted)
+    return None if fitted is None else fitted.tail
 
 
 def guard_at(log: Log, station: str) -> Guard:
@@ -93,13 +115,11 @@ def record_guard(session: CellSession, station: str) -> None:
         session.add(StationDecided(station=station, mean_U_mm=guard.mean_mm, max_U_mm=guard.max_mm))
 
 
-def rounds(log: Log, station: str, how: str) -> Iterator[range]:
-    """Yield the numbers of the targets of each next block, until the station is decided.
-    Uncorrected targets decide nothing: one block shows the error before.
-    """
+def rounds(log: Log, station: str) -> Iterator[range]:
+    """Yield the numbers of the targets of each next block, until the station is decided."""
     yield range(BLOCK)
     for end in range(2 * BLOCK, log.cell.plan.most_targets + 1, BLOCK):
-        if how != Sent.CHOSEN or decision_at(log, station).outcome is not Outcome.UNDECIDED:
+        if decision_at(log, station).outcome is not Outcome.UNDECIDED:
             return
         yield range(end - BLOCK, end)
 
@@ -124,15 +144,26 @@ def judgement(log: Log, stations: list[str]) -> Decided:
         outcome_of(figures.max, limits.max_mm, guard.max_mm),
     ])  # fmt: skip
     enough = all(each.outcome is not Outcome.UNDECIDED for each in decisions)
-    text = meaning(log.cell, outcome, guard, enough=enough)
+    text, rule = meaning(log.cell, outcome, guard, enough=enough), rule_of(tail(log))
     return Decided(
         outcome=outcome,
         targets=counts,
-        text=f"{outcome.text} after {' + '.join(map(str, counts))} targets: {text}",
+        text=f"{outcome.text} after {' + '.join(map(str, counts))} targets: {text} ({rule})",
+        rule=rule,
         accept_risk=plan.accept_risk,
         reject_risk=plan.reject_risk,
         share_above_max=plan.share_above_max,
     )
+
+
+def rule_of(tail: float | None) -> str:
+    """Return for which errors the test holds, and why."""
+    if tail is None:
+        return "test for errors of any distribution"
+    shown = f"the largest error at poses left out is {tail:.1f} times their median"
+    if tail <= LIGHT:
+        return f"test for errors of rising hazard rate: {shown}, at most {LIGHT:g}"
+    return f"test for errors of any distribution: {shown}, not at most {LIGHT:g}"
 
 
 def meaning(cell: Cell, outcome: Outcome, guard: Guard, *, enough: bool) -> str:
@@ -182,6 +213,17 @@ class SequentialRule:
     accept_risk: float
     reject_risk: float
     block: int
+    rising: bool = False  # hazard rate of the errors
+
+    def for_tail(self, tail: float | None) -> SequentialRule:
+        """Return the rule for errors with a tail; a heavy one might have been taken for a light
+        one, and that has a half of the risk.
+        """
+        if tail is None:
+            return self
+        if tail <= LIGHT:
+            return replace(self, rising=True)
+        return replace(self, accept_risk=self.accept_risk / 2)
 
     def decide(self, errors_mm: ArrayLike) -> Decision:
         """Return the decision at the first block's end at which errors (N,) decide, in order."""
@@ -189,8 +231,7 @@ class SequentialRule:
         ends = np.arange(self.block, len(errors) + 1, self.block)
         fits = errors <= self.max_limit_mm  # NaN does not
         within, errors = np.logical_and.accumulate(fits), np.where(fits, errors, self.max_limit_mm)
-        shares = (1.0 - self.share) ** np.arange(1, len(errors) + 1)  # all within the maximum
-        accepted = within & self._below(errors) & (shares <= self.accept_risk)
+        accepted = within & self._below(errors) & self._seldom_above(errors)
         rejected = ~within | self._above(errors)
         for end in ends.tolist():
             if rejected[end - 1]:
@@ -203,7 +244,32 @@ class SequentialRule:
         """Return after each error (N,) whether the mean is shown to be below its limit."""
         bound_mm = max(self.max_limit_mm, 2 * self.mean_limit_mm)
         gains = (self.mean_limit_mm - errors) / (bound_mm - self.mean_limit_mm)
-        return self._won(gains, self.accept_risk)
+        if not self.rising:
+            return self._won(gains, self.accept_risk)
+        beyond = np.exp(-1.0)  # the least probability of an error above the limit of the mean
+        made = 0.52 * self._all_within(errors, self.mean_limit_mm, beyond)  # eight are enough
+        some = np.where(errors <= self.mean_limit_mm, beyond / (1.0 - beyond), -1.0)
+        made += 0.3 * np.exp(np.cumsum(np.log1p(0.7 * some))) + 0.18 * self._made(gains)
+        won: Bools = made >= 1.0 / self.accept_risk
+        return won
+
+    def _seldom_above(self, errors: Array) -> Bools:
+        """Return after each error (N,) whether the share above the maximum is shown to be less."""
+        parts = {2.0: 0.96, 1.5: 0.02, 1.0: 0.02} if self.rising else {1.0: 1.0}
+        made = [
+            part * self._all_within(errors, self.max_limit_mm / c, self.share ** (1.0 / c))
+            for c, part in parts.items()
+        ]
+        won: Bools = np.sum(made, axis=0) >= 1.0 / self.accept_risk
+        return won
+
+    @staticmethod
+    def _all_within(errors: Array, limit: float, beyond: float) -> Array:
+        """Return after each error (N,) what a bet makes of 1 that none is above a limit, fair where
+        ``beyond`` is the probability of that.
+        """
+        within = np.logical_and.accumulate(errors <= limit)
+        return np.asarray(within * (1.0 - beyond) ** -np.arange(1.0, len(errors) + 1.0))
 
     def _above(self, errors: Array) -> Bools:
         """Return after each error (N,) whether the mean is shown to be above its limit."""
@@ -212,10 +278,16 @@ class SequentialRule:
     @staticmethod
     def _won(gains: Array, risk: float) -> Bools:
         """Return after each gain (N,), >= -1, whether the bets' mean has reached 1 / risk."""
+        won: Bools = SequentialRule._made(gains) >= 1.0 / risk
+        return won
+
+    @staticmethod
+    def _made(gains: Array) -> Array:
+        """Return after each gain (N,) what bets make of 1, in the mean."""
         stakes = np.linspace(0.05, 0.95, 10)  # the mean of fair bets is a fair bet
         logs = np.cumsum(np.log1p(stakes * gains[:, None]), axis=0)
-        won: Bools = np.logaddexp.reduce(logs, axis=1) - np.log(len(stakes)) >= -np.log(risk)
-        return won
+        made: Array = np.exp(np.logaddexp.reduce(logs, axis=1) - np.log(len(stakes)))
+        return made
 
     @staticmethod
     def of(cell: Cell, guard: Guard) -> SequentialRule:

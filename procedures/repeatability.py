@@ -27,7 +27,7 @@ from hilcell.geometry.statistics import (
     rms,
     without_noise,
 )
-from hilcell.journal.log import Log, positions_mm, variances_mm2
+from hilcell.journal.log import Log, positions_mm, repeated_visits, variances_mm2
 from hilcell.model.events import VisitedOnceMore
 from hilcell.model.plan import PlannedStep
 from hilcell.model.point import Point, PointId
@@ -85,19 +85,22 @@ class Repeatability:
 
     @staticmethod
     def visits(cell: Cell) -> int:
-        return 5 if cell.plan.quick else VISITS
+        return 3 if cell.plan.quick else VISITS
 
     @staticmethod
     def places_mm(cell: Cell) -> Array:
-        """Return the places (3, 3) in {B}: the centre and two opposite corners."""
+        """Return the places (P, 3) in {B}: the centre and two opposite corners, on a quick plan
+        those that are re-visited next, which is one visit more of each.
+        """
+        if cell.plan.quick:
+            return grid_of(cell).serpentine_mm()[revisited(cell)]
         centre = cell.grid.centre.matrix()[:3, 3]
         half = np.array(cell.grid.size_mm) / 2
         return np.array([centre, centre - half, centre + half])
 
     @staticmethod
     def _clouds(log: Log) -> list[list[Point]]:
-        places = range(len(Repeatability.places_mm(log.cell)))
-        return [log.select("repeatability", place=n) for n in places]
+        return repeated_visits(log)
 
     @staticmethod
     def distances_mm(log: Log) -> Array:
@@ -228,10 +231,9 @@ def visits(cell: Cell, kind: str) -> list[Visit]:
     joints_rad = joints_for(cell, vertices_mm)
     beyond_rad = joints_rad + cell.robot.approach_rad
     free = (beyond_rad <= cell.robot.margin_limits_rad[1]).all(axis=1)
-    count, ids = len(vertices_mm), vertex_ids(grid_of(cell))
-    wanted = min(3 if cell.plan.quick else 12, count)
-    numbers = [n * count // wanted for n in range(wanted)]  # the first, and evenly on
-    sides = [n for n in numbers if free[n] and kind == REVISIT][:4]
+    ids = vertex_ids(grid_of(cell))
+    numbers = revisited(cell)
+    sides = [n for n in numbers if free[n] and kind == REVISIT][: 2 if cell.plan.quick else 4]
     found = list[Visit]()
     if kind == REVISIT:  # ends of the base frame's sweeps; in a quick plan where it began
         last = points_on_arc(cell) - 1
@@ -245,6 +247,13 @@ def visits(cell: Cell, kind: str) -> list[Visit]:
         sent = [below, above] if n in sides else [below]
         found += [Visit(id, joints_rad[n], vertices_mm[n]) for id in sent]
     return found
+
+
+def revisited(cell: Cell) -> list[int]:
+    """Return the numbers of the vertices that are re-visited: the first, and evenly on."""
+    count = len(grid_of(cell).serpentine_mm())
+    wanted = min(3 if cell.plan.quick else 12, count)
+    return [n * count // wanted for n in range(wanted)]
 
 
 def judge_suspicions(session: CellSession) -> None:

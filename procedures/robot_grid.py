@@ -155,11 +155,11 @@ class ChosenPoses:
     yields = "more certain kinematics"
 
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
-        """Return the longest that it may take: which poses, only the grid's errors tell."""
-        most = cell.plan.pose_counts[1]
-        if not most:
+        """Return the poses that are measured in any case: how many more, only the grid tells."""
+        least, _ = cell.plan.pose_counts
+        if not least:
             return PlannedStep(self.name, 0, 0.0)
-        joints_rad = candidates_rad(cell)[:most]
+        joints_rad = candidates_rad(cell)[:least]
         measured = plan.flange_points(cell, joints_rad, seats=True)
         points = len(joints_rad) * len(cell.robot.seats_mm)
         return PlannedStep.of_spans(self.name, points, [measured, *plan.closing(cell)])

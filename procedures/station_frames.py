@@ -122,7 +122,15 @@ def nest_points(cell: Cell) -> int:
 def frame_spans(cell: Cell, here: Station, there: Station) -> list[Span]:
     nests = plan.readings(cell, len(cell.layout.slide), cell.nest_samples)
     few = [] if cell.plan.quick else [plan.readings(cell, FEW, THREE_SAMPLES)]
-    return [*plan.leg(cell, here, there), nests, *few, *plan.closing(cell, carried=True)]
+    proofs = plan.closing(cell, carried=True) if verifies(cell, there) else []
+    return [*plan.leg(cell, here, there), nests, *few, *proofs]
+
+
+def verifies(cell: Cell, station: Station) -> bool:
+    """Whether the tracker is verified as soon as a station is framed: on a quick plan with the
+    targets there, if any are measured.
+    """
+    return station == cell.reference or not cell.plan.quick or cell.layout.by_hand
 
 
 def frame_station(session: CellSession, station: Station) -> None:
@@ -141,7 +149,8 @@ def frame_station(session: CellSession, station: Station) -> None:
             three_point(session, station, nest)  # while the reflector is there
     few = [] if cell.plan.quick else cell.layout.slide[:FEW]
     three = [three_point(session, station, nest) for nest in few]
-    session.close_step(carried=True)
+    if verifies(cell, station):
+        session.close_step(carried=True)
     if three:
         three_mm = apply(session.log.matrix("world"), positions_mm(three))
         T, keys = three_point_frame(*three_mm), [point.key for point in three]

@@ -78,19 +78,21 @@ class Validate:
             joints_rad = plan.check_targets(cell, station, poses, f"target at {name}")
             at_mm = apply(T_W_T @ cell.layout.nominal_base(station.strip_mm), poses[:, :3, 3])
             ranges_mm.append(float(np.linalg.norm(at_mm, axis=1).mean()))
-            if cell.plan.quick and here != station:  # one stop, to frame and to validate
+            stays = cell.plan.quick and here == station  # since its base was framed
+            if cell.plan.quick and not stays:  # one stop, to frame and to validate
                 spans += frame_spans(cell, here, station)
                 points += nest_points(cell)
             else:
                 spans += plan.leg(cell, here, station)
-            for how in BOTH if cell.plan.quick else Sent:
-                measured = touch_spans(cell, station) if how == Sent.CHOSEN else []
-                sent_rad = joints_rad[: self._planned(cell, how)]
+            for how in self._series(cell):
+                touched = how == Sent.CHOSEN and not stays
+                measured = touch_spans(cell, station) if touched else []
+                sent_rad = joints_rad[: self._planned(cell)]
                 measured.append(plan.flange_points(cell, sent_rad, seats=how in BOTH))
                 count = sum(span.measured for span in measured)
                 proofs = (
                     plan.closing(cell, carried=True, points=count)
-                    if how in self._verified_after(cell)
+                    if how in self._verified_after(cell, station)
                     else []
                 )
                 spans += [*measured, *proofs]
@@ -109,13 +111,13 @@ class Validate:
         for name, poses in target_poses(cell, session.seed).items():
             station = cell.station_named(name)
             frame_station(session, station)
-            for how in BOTH if cell.plan.quick else Sent:
+            for how in self._series(cell):
                 every, quick = [range(len(poses))], cell.plan.quick
-                for numbers in quick_validation.rounds(session.log, name, how) if quick else every:
+                for numbers in quick_validation.rounds(session.log, name) if quick else every:
                     self._send(session, station, how, numbers, poses, models.get(how))
-                if quick and how == Sent.CHOSEN:
+                if quick:
                     quick_validation.record_guard(session, name)
-                if how in self._verified_after(cell):
+                if how in self._verified_after(cell, station):
                     session.close_step(carried=True)
         self._judge(session)
         judge_suspicions(session)
@@ -221,7 +223,8 @@ class Validate:
             T_W_B = frames.carried("three_points", station)
             at_mm = apply(inverse(T_W_B) @ frames.base_in_world(station), targets_mm)
         else:
-            touch_once(session, station, model)
+            if not session.frames.stays(station):
+                touch_once(session, station, model)
             at_mm = frames.on_visit_mm(station, targets_mm)
         at = matrix(poses[:, :3, :3], at_mm)
         return corrected_poses(grid_of(session.cell), at, model)
@@ -249,20 +252,27 @@ class Validate:
         )
 
     @staticmethod
-    def _verified_after(cell: Cell) -> tuple[Sent, ...]:
-        """Series after which the tracker is verified: all; in a quick plan or with a reflector
-        carried by hand the last of each station.
+    def _series(cell: Cell) -> tuple[Sent, ...]:
+        """Series that are sent: in a quick plan the corrected targets, which show the error before
+        as well.
         """
-        return (Sent.CHOSEN,) if cell.plan.quick or cell.layout.by_hand else tuple(Sent)
+        return (Sent.CHOSEN,) if cell.plan.quick else tuple(Sent)
 
     @staticmethod
-    def _planned(cell: Cell, how: Sent) -> int | None:
-        """Return a quick plan's least number of targets; None is all of them."""
+    def _verified_after(cell: Cell, station: Station) -> tuple[Sent, ...]:
+        """Series after which the tracker is verified: all; with a reflector carried by hand the
+        last of each station, in a quick plan that of each but the first.
+        """
+        if cell.layout.by_hand:
+            return (Sent.CHOSEN,)
         if not cell.plan.quick:
-            return None
-        return (
-            quick_validation.least_targets(cell) if how == Sent.CHOSEN else quick_validation.BLOCK
-        )
+            return tuple(Sent)
+        return (Sent.CHOSEN,) if [station] == cell.station or station != cell.reference else ()
+
+    @staticmethod
+    def _planned(cell: Cell) -> int | None:
+        """Return the number of targets that a station of a quick plan needs; None is all."""
+        return quick_validation.planned_targets(cell) if cell.plan.quick else None
 
     @staticmethod
     def table(result: Result) -> Table:

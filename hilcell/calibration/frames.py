@@ -80,6 +80,10 @@ class Frames:
         frame = self._log.frames.get(f"touch.{station.name}")
         return isinstance(frame, TouchedBase) and frame.visit == self._log.visit
 
+    def stays(self, station: Station) -> bool:
+        """Whether the slide has not moved since the base was framed there."""
+        return station == self.cell.reference and self._log.visit == self._log.based_visit
+
     def base_on_visit(self, station: Station) -> Array:
         """T_W_B (4, 4) as touched on this visit, else `base_in_world`: for commands only."""
         if self.is_touched(station):

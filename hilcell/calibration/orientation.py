@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, combinations, pairwise
 from typing import Self
 
@@ -20,7 +20,7 @@ import numpy as np
 from hilcell.calibration.budget import driven_poses, lines_in_use, lines_in_validation
 from hilcell.calibration.decision_rule import stated_mm2
 from hilcell.calibration.file import Calibration
-from hilcell.calibration.frames import world_as_framed
+from hilcell.calibration.frames import Frames, world_as_framed
 from hilcell.calibration.grid import measured_errors
 from hilcell.calibration.influence import Influence, NoBound
 from hilcell.calibration.measurement_budget import expanded_mm
@@ -28,12 +28,14 @@ from hilcell.cell.file import Cell
 from hilcell.compensation.kinematic import seats_mm
 from hilcell.geometry.frames import (
     apply,
+    from_rotvec,
     from_zyx,
     inverse,
     orientations,
     rotation_levers,
     to_rotvec,
 )
+from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import (
     bounds95_mm,
     effective_freedom,
@@ -42,7 +44,7 @@ from hilcell.geometry.statistics import (
     trace_freedom,
 )
 from hilcell.identification.measured_poses import IdentificationError
-from hilcell.journal.log import Log, covariances_mm2, positions_mm
+from hilcell.journal.log import Log, commanded_rad, covariances_mm2, positions_mm
 from hilcell.model.point import Point, Sent
 from hilcell.model.results import OrientationBounds, OrientationFigures
 from hilcell.model.verdicts import OrientationError
@@ -161,9 +163,22 @@ def validated_orientation_errors(
     for how in Sent:
         points = [p for name in stations for p in log.select("validate", name, how=how)]
         turned = largest_orientation_errors(log, points, seats)
-        if len(turned):
-            errors[how] = turned
+        if not len(turned):
+            continue
+        errors[how] = turned
+        if how == Sent.CHOSEN and log.cell.plan.quick:
+            errors = {Sent.BEFORE: _uncorrected(log, turned)} | errors
     return errors
+
+
+def _uncorrected(log: Log, turned: OrientationErrors) -> OrientationErrors:
+    """Errors of the orientations that were commanded; see `uncorrected_errors`."""
+    frames, points = Frames(log.cell, log), turned.points
+    bases = np.array([frames.base_in_world(log.cell.station_named(p.station)) for p in points])
+    sent = (bases @ forward(log.cell.robot.arm(), commanded_rad(points)))[:, :3, :3]
+    nominal = from_zyx(np.array([point.nominal_deg for point in points], dtype=float))
+    actual = from_rotvec(turned.error_rad) @ nominal
+    return replace(turned, error_rad=to_rotvec(actual @ np.swapaxes(sent, 1, 2)))
 
 
 def largest_orientation_error(log: Log, turned: OrientationErrors | None) -> OrientationError:

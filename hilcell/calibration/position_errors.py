@@ -12,10 +12,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hilcell.calibration.frames import Frames
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
+from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import BeamNoise, Figures, figures_of, lengths_mm
-from hilcell.journal.log import Log, noise_at, of_measured, positions_mm, repeated_visits, run_noise
+from hilcell.journal.log import (
+    Log,
+    commanded_rad,
+    noise_at,
+    of_measured,
+    positions_mm,
+    repeated_visits,
+    run_noise,
+)
 from hilcell.model.point import Point, Sent
 from hilcell.model.verdicts import OTHERS
 from hilcell.ports import Array
@@ -69,7 +79,9 @@ def counting(log: Log, point: Point) -> Point:
 
 
 def validation(log: Log, stations: list[str]) -> dict[Sent, Errors]:
-    """Errors before and after at ``stations``, as far as measured."""
+    """Errors before and after at ``stations``, as far as measured; those before a quick plan's
+    correction by its corrected targets.
+    """
     sent: dict[tuple[str, str], list[Point]] = {}
     for point in log.select("validate") if "world" in log.frames else ():
         sent.setdefault((point.station, point.id.how), []).append(point)
@@ -78,7 +90,19 @@ def validation(log: Log, stations: list[str]) -> dict[Sent, Errors]:
         points = [p for name in stations for p in sent.get((name, how), ())]
         if known := _counting(log, points):
             series[how] = position_errors(log, known)
+            if how == Sent.CHOSEN and log.cell.plan.quick:
+                series = {Sent.BEFORE: uncorrected_errors(log, known)} | series
     return series
+
+
+def uncorrected_errors(log: Log, points: list[Point]) -> Errors:
+    """Errors of the poses that were commanded, which the robot has without a correction: those of
+    targets that the correction has moved by some tenths of a millimetre.
+    """
+    frames, arm = Frames(log.cell, log), log.cell.robot.arm()
+    bases = np.array([frames.base_in_world(log.cell.station_named(p.station)) for p in points])
+    commanded_mm = (bases @ forward(arm, commanded_rad(points)))[:, :3, 3]
+    return Errors(commanded_mm, apply(log.matrix("world"), positions_mm(points)) - commanded_mm)
 
 
 def judged_places(cell: Cell) -> dict[str, list[str]]:

@@ -61,10 +61,16 @@ def beside_nest(cell: Cell, station: Station, points_mm: Array) -> Bools:
     return np.asarray(~(chords.min(axis=1) > 2.0 * np.sin(apart_rad / 2.0)))
 
 
+def touch_count(cell: Cell) -> int:
+    """Return the number of touch poses, on a quick plan hardly more than tell the base."""
+    return min(cell.touch.poses, 5) if cell.plan.quick else cell.touch.poses
+
+
 def touch_targets_mm(cell: Cell, station: Station) -> Array:
     """Touch targets (N, 3) in {B} through the cube, if possible not beside a nest."""
+    count = touch_count(cell)
     spare = 4  # places for each touch pose, for those that are passed over
-    number = np.arange(spare * cell.touch.poses)[:, None]
+    number = np.arange(spare * count)[:, None]
     # Roots of x^4 = x + 1: steps by them fill a cube evenly, however many are taken.
     steps = 1.2207440846057596 ** -np.arange(1.0, 4.0)
     share = (0.5 + number * steps) % 1.0
@@ -74,13 +80,13 @@ def touch_targets_mm(cell: Cell, station: Station) -> Array:
         (1.0 - 2.0 * margin_share) * (share - 0.5)
     )
     order = np.argsort(beside_nest(cell, station, targets), kind="stable")
-    return targets[order[: cell.touch.poses]]
+    return targets[order[:count]]
 
 
 def touch_ids(cell: Cell, station: Station, visit: int) -> list[PointId]:
     return [
         PointId("touch", station=station.name, visit=visit, number=n)
-        for n in range(cell.touch.poses)
+        for n in range(touch_count(cell))
     ]
 
 

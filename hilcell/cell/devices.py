@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoints, entry_points
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, Self
 from urllib.parse import urlsplit
 
 import msgspec
@@ -219,6 +219,26 @@ def abilities(cell: Cell) -> dict[str, bool]:
         "tracker_aims": issubclass(tracker, ports.Aims),
         "robot_sweeps": issubclass(load_entry("robots", cell.robot.driver), ports.Sweeps),
     }
+
+
+class Rests(NamedTuple):
+    """Planned rests of robot and slide before a measurement, in s."""
+
+    robot_s: float
+    rail_s: float
+
+    @classmethod
+    def of(cls, cell: Cell) -> Self:
+        """Return the least on a quick plan where the tracker shows the rest of a motion. That of
+        the slide is seen in the nest that verifies its hold.
+        """
+        settle = cell.settle
+        shown = cell.plan.quick and abilities(cell)["tracker_streams"]
+        if not shown or cell.layout.by_hand:
+            return cls(settle.robot_s, settle.rail_s)
+        return cls(
+            min(settle.robot_s, settle.robot_least_s), min(settle.rail_s, settle.rail_least_s)
+        )
 
 
 def is_robot_driven(cell: Cell) -> bool:

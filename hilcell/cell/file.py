@@ -443,9 +443,17 @@ class CampaignTable(Frozen, frozen=True, kw_only=True):
 
 
 class SettleTable(Frozen, frozen=True, kw_only=True):
-    """Settling times by the cell's clock, and the largest age of a reading for interlocks."""
+    """Settling times by the cell's clock, and the largest age of a reading for interlocks.
+
+    On a quick plan robot and slide rest the least of them before a tracker that shows how much its
+    reflector moves, and up to ``robot_s`` or ``rail_s`` until a reading spreads by ``spread_mm`` at
+    most.
+    """
 
     robot_s: Wait = 1.0
+    robot_least_s: Wait = 0.3
+    rail_least_s: Wait = 0.5
+    spread_mm: Tolerance = 0.03
     rail_s: Wait = 2.0
     reading_age_s: Annotated[float, Meta(ge=0.01, le=10)] = 0.5
 
@@ -503,6 +511,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
         "robot.ramp_s", "robot.first_pass_percent", "robot.first_pass_pause", "robot.envelope",
         "robot.rp_mm", "tracker.pointing_s", "tracker.reading_s", "layout.reflectors",
         "layout.max_tool_std_mm", "layout.base_tolerance_mm",
+        "settle.robot_least_s", "settle.rail_least_s", "settle.spread_mm",
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -650,11 +659,11 @@ class Cell(Frozen, frozen=True, kw_only=True):
 
     @property
     def verification_samples(self) -> int:
-        return self.plan.samples(self.layout.nest_samples, quick=2)
+        return self.plan.samples(self.layout.nest_samples, quick=self.tracker.samples)
 
     @property
     def nest_samples(self) -> int:
-        return self.plan.samples(self.layout.nest_samples, quick=5)
+        return self.plan.samples(self.layout.nest_samples, quick=2 * self.tracker.samples)
 
     @cached_property
     def digest(self) -> str:

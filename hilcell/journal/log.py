@@ -246,6 +246,7 @@ class Log:
         self.fault = ""
         self.moved = False  # in this session
         self.visit = 0  # counts motions of the slide; a touched base belongs to one visit
+        self.based_visit = -1  # that of the base frame
         self.visited_poses = VisitedPoses()
         self.set_ups = SetUps()
         self.retakes: dict[str, None] = {}  # keys of points that wait to be re-measured
@@ -281,6 +282,7 @@ class Log:
                 self.order = None
             case Frame():
                 self.frames[record.key] = fact
+                self.based_visit = self.visit if record.key == "base" else self.based_visit
                 self._carry_nests(record.key, record.seq)
             case Verdict():
                 self.verdicts[record.key], self.verdict_records[record.key] = fact, record
@@ -573,9 +575,14 @@ def positions_mm(points: Iterable[Point]) -> Array:
 
 
 def repeated_visits(log: Log) -> list[list[Point]]:
+    """Return the visits of each repeated place; the re-visit of a place is one of them."""
     places: dict[int | None, list[Point]] = {}
     for point in log.select("repeatability"):
         places.setdefault(point.id.place, []).append(point)
+    for point in log.select("revisit"):
+        for points in places.values():
+            if point.commanded_deg == points[0].commanded_deg:
+                points.append(point)
     return [points for points in places.values() if len(points) > 1]
 
 

@@ -67,11 +67,15 @@ class TargetBounds(StepResult, frozen=True, kw_only=True):
 
 
 class Decided(StepResult, frozen=True, kw_only=True):
-    """Decision of a quick plan, the number of targets at each station, and its risks."""
+    """Decision of a quick plan, the number of targets at each station, and its risks.
+
+    ``rule``: for which errors its test holds, and why.
+    """
 
     outcome: Outcome
     targets: list[int]
     text: str
+    rule: str
     accept_risk: float
     reject_risk: float
     share_above_max: float

@@ -338,7 +338,8 @@ class CurvesUsed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 class Fitted(Verdict, frozen=True, kw_only=True, omit_defaults=True):
     """The error model chosen by cross-validation: mean, p95 and max (mm) of each. ``orientation``:
-    the use of the tool's orientation, where measured.
+    the use of the tool's orientation, where measured. ``tail``: the largest over the median of the
+    errors at poses left out or struck out, of a quick plan.
     """
 
     keys: ClassVar[tuple[str, ...]] = ("fit",)
@@ -350,6 +351,7 @@ class Fitted(Verdict, frozen=True, kw_only=True, omit_defaults=True):
     curves: CurvesUsed
     outliers: list[PointId]
     orientation: str = ""
+    tail: float | None = None
 
     def _text(self) -> str:
         orientation = f"; orientation {self.orientation}" if self.orientation else ""

@@ -8,6 +8,7 @@ that the journal already has is returned unchanged, which makes a run resumable.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -116,12 +117,16 @@ class CellSession(Watch):
         robot = self.robot_to(joints_rad, what, above=above, straight=straight)
         T_W_T = self.frames.base_in_world(station) @ forward(self.cell.robot.arm(), joints_rad)
         seats_mm, samples = self.cell.robot.seats_mm, self.cell.tracker.samples
+        rest = self.rests.robot_s, self.cell.settle.robot_s
         stray_mm = 10.0  # in the measured base: nominal errors are far less, a lost zero is more
         for n, id in enumerate(ids):
             smr_mm = seats_mm[0 if id.seat is None else id.seat - 1]
             at_mm = apply(T_W_T, (smr_mm - seats_mm[0])[None])[0]
             place = FLANGE if id.seat is None else f"{FLANGE} {id.seat}"
-            reading = self.measured_in_world(id.key, place, at_mm, samples, stray_mm)
+            measure = partial(
+                self.measured_in_world, id.key, place, at_mm, samples, limit_mm=stray_mm
+            )
+            reading = measure() if n else self.settled(measure, *rest)
             self.record_point(
                 id,
                 station.name,

@@ -36,6 +36,7 @@ class Meter(Mover):
     """
 
     TRIES = 3  # of a measurement before the operator is prompted
+    SETTLE_S = 0.1  # at least, between two readings of what still moves
     AIM_S = 1.0  # between two looks at a beam that a person aims
 
     last: Point | None = None
@@ -166,6 +167,19 @@ class Meter(Mover):
                 act="the answer of an earlier measurement came late; resume",
                 fields={"point": key, "late_s": began_s - reading.taken_s},
             )
+        return reading
+
+    def settled(
+        self, measure: Callable[[], TrackerReading], rested_s: float, most_s: float
+    ) -> TrackerReading:
+        """Return a reading after a motion and the rest since: the first that spreads no more than
+        at rest, or that at the end of the longest rest.
+        """
+        reading, step_s = measure(), rested_s
+        while rested_s < most_s and not reading.std_mm.max() <= self.cell.settle.spread_mm:
+            more_s = min(max(step_s, self.SETTLE_S), most_s - rested_s)
+            self.clock.wait(more_s)
+            reading, rested_s = measure(), rested_s + more_s
         return reading
 
     def _verify_reflector(self, key: str, near_mm: Array) -> Verification:

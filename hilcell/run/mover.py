@@ -16,6 +16,7 @@ from hilcell.calibration.controller_pose import check_pose
 from hilcell.calibration.frames import Frames
 from hilcell.cell.devices import (
     Devices,
+    Rests,
     jogging_rail,
     self_stopping_rail,
     streaming_tracker,
@@ -335,6 +336,10 @@ class Mover(RunContext):
     _announced = False  # a first pass
 
     @cached_property
+    def rests(self) -> Rests:
+        return Rests.of(self.cell)
+
+    @cached_property
     def _upcoming(self) -> UpcomingPoses:
         return UpcomingPoses(self.cell)
 
@@ -515,7 +520,7 @@ class Mover(RunContext):
 
     def _hold_rail(self) -> None:
         self.devices.rail.hold()
-        self.clock.wait(self.cell.settle.rail_s)
+        self.clock.wait(self.rests.rail_s)
 
     # -- the robot ----------------------------------------------------------------------------
 
@@ -587,7 +592,7 @@ class Mover(RunContext):
                 place |= {"from_deg": np.degrees(straight.from_rad), "speed_percent": speed_percent}
             self.intend(what, "robot.move", **place, seen=reading_facts(rail, checked_s))
             reading = motion.drive(stops, speed_percent, what)
-        self.clock.wait(self.cell.settle.robot_s)
+        self.clock.wait(self.rests.robot_s)
         return reading
 
     def expect(self, station: Station, joints_rad: Array) -> None:

@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Container, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import combinations
 from typing import NamedTuple, NoReturn
 
@@ -380,7 +381,8 @@ class Watch(Meter):
         )
         expected_mm = (self.frames.base_in_world(station) @ np.append(nest.xyz_mm, 1.0))[:3]
         samples = self.cell.tracker.samples  # as quickly as a target
-        reading = self.measured_in_world(id.key, nest.name, expected_mm, samples)
+        measure = partial(self.measured_in_world, id.key, nest.name, expected_mm, samples)
+        reading = self.settled(measure, self.rests.rail_s, self.cell.settle.rail_s)
         point = self.record_point(id, station.name, reading)
         off = self._off(station, point)
         if off.holds:

@@ -97,7 +97,12 @@ def test_a_robot_that_is_not_identified_gets_no_poses(monkeypatch: pytest.Monkey
 
 def test_a_full_plan_has_none() -> None:
     assert ChosenPoses().plan(load_cell("paper"), 1).duration_s == 0.0
-    assert 0 < ChosenPoses().plan(QUICK, 1).points <= QUICK.plan.most_poses
+
+
+def test_the_plan_has_the_poses_that_are_needed_in_any_case() -> None:
+    tilted = load_cell("paper", {"plan.quick": "true", "plan.tilt_deg": "20.0"})
+    assert ChosenPoses().plan(QUICK, 1).points == 0  # more where the grid leaves too much
+    assert ChosenPoses().plan(tilted, 1).points == tilted.plan.tilt_poses
 
 
 # -- Poses chosen by information: against dense algebra, by trial, and when to stop ----------------

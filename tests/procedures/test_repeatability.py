@@ -27,8 +27,8 @@ class Visits(Log):
         super().__init__()
         self._cell = cell
         rng = np.random.default_rng(seed)
-        for place in range(PLACES):
-            for visit in range(Repeatability.visits(cell)):
+        for place in range(len(Repeatability.places_mm(cell))):
+            for visit in range(Repeatability.visits(cell) + cell.plan.quick):  # and the re-visit
                 noise_mm = rng.standard_normal(3) * robot_mm
                 noise_mm += rng.standard_normal(3) * np.array(TRACKER_MM)
                 self.put(place, visit, noise_mm)

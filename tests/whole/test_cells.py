@@ -43,7 +43,10 @@ def test_another_make_is_calibrated(tmp_path: Path) -> None:
         decision = result["validation"][name]["decision"]
         assert decision["outcome"] == "accepted"
         assert max(decision["targets"]) <= 32
-    assert result["points"]["validate_before"] == 8 * len(result["stations"])
+        assert "rising hazard rate" in decision["rule"]
+    assert "validate_before" not in result["points"]
+    assert figures["points_sent"]["before"] == figures["points"]  # the same targets show both
+    assert 0.7 < figures["before"]["mean"] < 1.1  # .9 of the machine
     assert len(result["chosen_poses"]["bounds_mm"]) == 1 + result["points"].get("pose", 0)
     assert 0.025 < result["repeatability"]["rp_robot_mm"] < 0.06  # .04 of the machine
 

@@ -58,7 +58,7 @@ def test_an_uncertainty_that_is_no_number_accepts_nothing() -> None:
 @pytest.mark.parametrize("outcome", ["undecided", "rejected"])
 def test_the_sequential_test_must_accept_as_well(outcome: Outcome) -> None:
     decided = Decided(
-        outcome=Outcome(outcome), targets=[8], text="too few targets",
+        outcome=Outcome(outcome), targets=[8], text="too few targets", rule="",
         accept_risk=0.05, reject_risk=0.05, share_above_max=0.05,
     )  # fmt: skip
     found = decide(0.01, 0.02, LIMITS, GUARD, sequential=decided)

@@ -147,6 +147,7 @@ class DeskTracker:
         self.clock = clock
         self.answer: Callable[[], None] = lambda: None
         self.off_mm = np.zeros(3)
+        self.std_mm = 0.01
         self.air: Air | None = Air(22.0, 1013.0, 45.0)
         self.measured = 0
 
@@ -156,7 +157,7 @@ class DeskTracker:
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         self.answer()
         self.measured += 1
-        std = np.full(3, 0.01)
+        std = np.full(3, self.std_mm)
         return TrackerReading(
             np.array(near_mm) + self.off_mm,
             std,

@@ -246,6 +246,40 @@ def test_what_has_moved_settles_before_it_is_measured(
     assert done == [1.5, "move", "move", 0.5, "measure", "measure"]
 
 
+@pytest.mark.parametrize(
+    ("settings", "std_mm", "waits"),
+    [
+        ({}, [0.01], [0.3]),
+        ({}, [0.09, 0.05, 0.02], [0.3, 0.3, 0.3]),
+        ({}, [0.09] * 9, [0.3, 0.3, 0.3, 0.1]),  # a second in all
+        ({"plan.quick": "false"}, [0.09], [1.0]),
+        ({"tracker.driver": "leica-geocom"}, [0.09], [1.0]),  # it shows no spread
+        ({"settle.robot_s": "0.2"}, [0.09], [0.2]),
+    ],
+)
+def test_on_a_quick_plan_the_robot_rests_until_the_tracker_sees_it_rest(
+    settings: dict[str, str],
+    std_mm: list[float],
+    waits: list[float],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bed = Bed(tmp_path, cell=load_cell("paper", {"plan.quick": "true"} | settings))
+    found, done = [*std_mm, 0.01], list[float]()
+
+    def act(session: CellSession, number: int) -> None:
+        session.hold_station(S1100)
+        monkeypatch.setattr(session.clock, "wait", done.append)
+        flange(session, number)
+
+    def answer() -> None:
+        bed.tracker.std_mm = found.pop(0) if found else 0.01
+
+    bed.tracker.answer = answer
+    assert bed.fault_of(act) == ""
+    assert done == pytest.approx(waits)
+
+
 def test_the_robot_does_not_park_from_a_station_that_the_strip_no_longer_reads(bed: Bed) -> None:
     def act(session: CellSession, number: int) -> None:
         session.hold_station(S1100)
