@@ -575,11 +575,11 @@ def positions_mm(points: Iterable[Point]) -> Array:
 
 
 def repeated_visits(log: Log) -> list[list[Point]]:
-    """Return the visits of each repeated place; the re-visit of a place is one of them."""
+    """Return the visits of each repeated place; on a quick plan its re-visit is one of them."""
     places: dict[int | None, list[Point]] = {}
     for point in log.select("repeatability"):
         places.setdefault(point.id.place, []).append(point)
-    for point in log.select("revisit"):
+    for point in log.select("revisit") if places and log.cell.plan.quick else ():
         for points in places.values():
             if point.commanded_deg == points[0].commanded_deg:
                 points.append(point)

@@ -23,6 +23,7 @@ from hilcell.calibration.file import (
 )
 from hilcell.calibration.influence import Influence
 from hilcell.calibration.position_errors import block_diagonal, scatter_besides, visit_noise
+from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.geometry.frames import apply, inverse, motion_levers, pose_from_zyx, zyx_from_pose
 from hilcell.geometry.statistics import BeamNoise
@@ -155,6 +156,7 @@ def test_two_visits_of_other_poses_differ_as_their_covariance_states() -> None:
         at_mm = places(16, rng)
         then, now = ([visited(each, rng) for each in at_mm] for _ in range(2))
         log: Any = SimpleNamespace(
+            cell=load_cell("paper"),
             points=dict(enumerate([*again, *then, *now])),
             select=lambda _, again=again: again,
         )
