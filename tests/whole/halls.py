@@ -280,7 +280,7 @@ def _of_the_rail(
     }
     for key, share in scales.items():
         if not abs(abs(share) - 1.0) <= SCALE_SHARE:
-            yield f"rail.options.{key}: not {device[key]}"
+            yield f"rail.options.{key}: {share:.5f} of {device[key]}"
     if not scales["counts_per_mm"] * scales["strip_counts_per_mm"] > 0.0:
         yield "drive and strip count in opposite directions"
     true_unit = _counts_s(device["speed_unit"], device["counts_per_turn"])
