@@ -14,6 +14,7 @@ from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.console import print_data, print_json, print_message, print_table
 from hilcell.commands.signatures import Compensate, Fit, Plan, Prepare
+from hilcell.compensation.model_choice import NOMINAL
 from hilcell.compensation.targets import as_listed, write_rows
 from hilcell.errors import bounded
 from hilcell.fit.columns import read_names
@@ -179,14 +180,16 @@ def fit(args: Fit) -> int:
     if args.correct:
         inputs.append(Path(args.correct))
     fitted = fit_robot(robot, train, test)
+    _check_arm(args, inputs)  # all is planned before a file is written
     more: dict[str, object] = {}
-    if args.urdf_out or args.dh_out:
-        more["rigid"] = _write_arm(args, fitted, inputs)
     if args.correct:
         job = ArmTargets.plan(fitted, Path(args.correct), tool=tool, say=print_message)
         bounds = Path(args.bounds) if args.bounds else None
         print_message("\n".join(job.write(Path(args.output), bounds, inputs)))
         more["corrected"] = job.summary
+        inputs.append(Path(args.output))
+    if args.urdf_out or args.dh_out:
+        more["rigid"] = _write_arm(args, fitted, inputs)
     if args.json:
         covariance: dict[str, object] = {}
         arm = fitted.methods[fitted.result["model"]["method"]] if fitted.result["model"] else None
@@ -215,14 +218,17 @@ def _tool(args: Fit, train: Measurements) -> str:
     return tool
 
 
-def _write_arm(args: Fit, fit: RobotFit, inputs: list[Path]) -> dict[str, float]:
-    """Write the identified arm as URDF and DH table; return its residuals in mm."""
-    from hilcell.fit.rigid_arm import alone, rigid_arm, write_dh, write_urdf
-
+def _check_arm(args: Fit, inputs: list[Path]) -> None:
     if args.urdf_out:
         check_output(Path(args.urdf_out), (URDF, ".xml"), "a URDF", inputs=inputs)
     if args.dh_out:
         check_output(Path(args.dh_out), (*CSV, ".json"), "a DH table", inputs=inputs)
+
+
+def _write_arm(args: Fit, fit: RobotFit, inputs: list[Path]) -> dict[str, float]:
+    """Write the identified arm as URDF and DH table; return its residuals in mm."""
+    from hilcell.fit.rigid_arm import alone, rigid_arm, write_dh, write_urdf
+
     arm = rigid_arm(fit)
     if args.urdf_out:
         remarks = [f"{fit.result['train']} rows of {Path(args.train).name}.", *alone(arm.figures)]
@@ -232,6 +238,10 @@ def _write_arm(args: Fit, fit: RobotFit, inputs: list[Path]) -> dict[str, float]
         write_dh(Path(args.dh_out), fit.robot, arm, inputs=inputs)
     written = " and ".join(filter(None, (args.urdf_out, args.dh_out)))
     print_message("\n".join([f"the identified arm is in {written}", *alone(arm.figures)]))
+    if fit.chosen == NOMINAL:
+        print_message(
+            f"warning: that arm is no better than the nominal one: {fit.result['reason']}"
+        )
     return in_mm(arm.figures)
 
 

@@ -216,8 +216,11 @@ def test_nothing_is_corrected_where_no_method_helps(
     result: FitResult = {**found.result, "chosen": "nominal", "reason": "no method beats nominal"}
     changed = replace(found, result=result)
     monkeypatch.setattr("hilcell.commands.targets.fit_robot", lambda robot, train, test: changed)
+    arms = ("--urdf-out", folder / "n.urdf", "--dh-out", folder / "n.csv")
     words = ("--correct", folder / "train.csv", "--tool", "SMR1", "-o", folder / "c.csv")
-    assert "no method beats nominal" in refused(folder, *words)
+    assert "no method beats nominal" in refused(folder, *arms, *words)
+    assert not list(folder.glob("n.*"))
+    assert "is no better than the nominal one" in fit(folder, *arms).stderr
 
 
 def test_undetermined_targets_are_named(
