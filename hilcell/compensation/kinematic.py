@@ -38,10 +38,12 @@ from hilcell.identification.estimate import (
 from hilcell.identification.kinematics import Kinematics, Placed, State, TransmissionCurve
 from hilcell.identification.measured_poses import IdentificationError, Noise
 from hilcell.identification.static_curves import static_curves
+from hilcell.identification.weight import flange_levers_mm
 from hilcell.model.verdicts import CurvesUsed
 
 MOST_MM, MOST_RAD = 1e5, 1e3  # beyond is no robot's length or angle
 LARGE_AXES = 3  # whose errors have levers of metres
+LEAST_LEVER_MM = 10.0  # that tells a load
 CLEARLY = 0.98  # of the mean miss of poses left out, for more parameters to be taken
 
 
@@ -104,7 +106,8 @@ class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     of base, reflectors and values; noise; number of directions of the parameters that the poses
     determine, and ratio of the best to the worst; number of poses rejected as outliers.
     ``more_reflectors_mm``: the others on the flange, where the orientation was measured;
-    ``pose_mm``: their common part of the noise.
+    ``pose_mm``: their common part of the noise; ``levers_mm``: of the axes whose curves grow with
+    the load.
     """
 
     robot: RobotEntry
@@ -125,6 +128,16 @@ class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     outliers: list[int]
     more_reflectors_mm: list[list[float]]
     pose_mm: float
+    levers_mm: list[float] = []
+
+    def levers(self) -> tuple[float, ...]:
+        """Return the levers; raises `ModelError`."""
+        if len(self.levers_mm) not in (0, LARGE_AXES):
+            raise ModelError(f"levers_mm: {len(self.levers_mm)}, expected 0 or {LARGE_AXES}")
+        levers_mm = _numbers("levers_mm", self.levers_mm, (len(self.levers_mm),), MOST_MM)
+        if not (levers_mm >= LEAST_LEVER_MM).all():
+            raise ModelError(f"levers_mm: expected >= {LEAST_LEVER_MM:g} mm")
+        return tuple(levers_mm.tolist())
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,6 +223,7 @@ class Kinematic(LearntModel):
             self.outliers,
             self.state.smr_mm[1:].tolist(),
             self.noise.pose_mm,
+            list(self.kinematics.levers_mm),
         )  # fmt: skip
         content: Json = msgspec.to_builtins(entry)
         return content
@@ -226,7 +240,7 @@ class Kinematic(LearntModel):
         seats = [entry.reflector_mm, *entry.more_reflectors_mm]
         kinematics = Kinematics(
             robot.arm, len(seats), gravity=entry.gravity, waves=entry.waves, tool=entry.tool,
-            curves=curves,
+            curves=curves, levers_mm=entry.levers(),
         )  # fmt: skip
         placed, size = kinematics.placed, len(kinematics.names)
         covariance = _numbers("covariance", entry.covariance, (size, size), MOST_MM)
@@ -309,12 +323,15 @@ def _identified(measured: MeasuredArm) -> tuple[Estimate, CurvesUsed]:
     used = both[0] < both[1]
     swept = with_.kinematics.curves
     if used:
+        with_ = _loaded(with_)
         with_ = _with_static_curves(with_)
     reason = (
         f"{'used' if used else 'not used'}: static poses that no sweep saw, left out in turn, are "
         f"missed by {both[0]:.4f} mm in the mean with the curves of axes {_axes(swept)}, by "
         f"{both[1]:.4f} mm without"
     )
+    if with_.kinematics.levers_mm:
+        reason += "; the curves grow with the load"
     if more := with_.kinematics.curves[len(swept) :]:
         reason += f"; axes {_axes(more)} err smoothly by these poses alone"
     return (with_ if used else without), CurvesUsed(used, reason, *both)
@@ -334,6 +351,15 @@ def _with_curves(without: Estimate, curves: tuple[TransmissionCurve, ...]) -> Es
     start = kinematics.start(without.state.T, without.state.smr_mm)
     found = identify_trusted(kinematics, without.readings, start, without.noise)
     return replace(found, outliers=without.outliers)
+
+
+def _loaded(swept: Estimate) -> Estimate:
+    """Curves that grow with the load, where these predict poses better that are left out."""
+    arm, joints_rad = swept.kinematics.arm, swept.readings.joints_rad
+    middle_mm = flange_levers_mm(arm.by_angles, arm.angles(joints_rad)).mean(axis=0)[:LARGE_AXES]
+    if not middle_mm.min() >= LEAST_LEVER_MM:
+        return swept
+    return _better(swept, replace(swept.kinematics, levers_mm=tuple(middle_mm.tolist())))
 
 
 def _with_static_curves(swept: Estimate) -> Estimate:
@@ -356,7 +382,7 @@ def _contradicted(estimate: Estimate) -> list[bool]:
     mean, prior = kinematics.prior
     change = kinematics.flat(estimate.state) - mean
     explained = prior - estimate.system.covariance
-    bad, end = [], len(mean) - sum(2 * len(curve.cycles) + 1 for curve in kinematics.curves)
+    bad, end = [], len(mean) - sum(map(kinematics.size, kinematics.curves))
     least_share = 1e-3  # of a prior's variance that poses explain at least
     contradicted = 4.0  # times the square that chance gives a curve's change
     for curve in kinematics.curves:
@@ -364,7 +390,7 @@ def _contradicted(estimate: Estimate) -> list[bool]:
         by_chance = explained[own, own] + least_share * prior[own, own]
         size = float(change[own] @ np.linalg.solve(by_chance, change[own]))
         bad.append(not size <= contradicted * 2 * len(curve.cycles))
-        end = own.stop + 1
+        end += kinematics.size(curve)
     return bad
 
 

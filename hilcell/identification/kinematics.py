@@ -19,7 +19,13 @@ import numpy as np
 from hilcell.geometry.frames import cross_matrix, from_rotvec, motion_levers
 from hilcell.geometry.jacobian import KINDS, by_joints, tool_and_jacobian
 from hilcell.geometry.kinematics import Arm, Array, forward
-from hilcell.identification.weight import gravity_basis, gravity_loads, tool_basis, tool_loads
+from hilcell.identification.weight import (
+    flange_levers_mm,
+    gravity_basis,
+    gravity_loads,
+    tool_basis,
+    tool_loads,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +108,9 @@ class Kinematics:
     """Possible errors of a robot; ``arm`` is nominal, its tool frame is not used.
 
     Order of the P parameters: base (shift in mm, rotation vector about its origin), reflectors,
-    links by kind and row, then, if requested, gravity, waves, tool, curves.
+    links by kind and row, then, if requested, gravity, waves, tool, curves. Gears err more under
+    load: with ``levers_mm`` of the first axes, their curves grow by an unknown share of the
+    relative growth of the flange's lever over these.
     """
 
     arm: Arm
@@ -112,6 +120,7 @@ class Kinematics:
     waves: bool = True
     tool: bool = False
     curves: tuple[TransmissionCurve, ...] = ()
+    levers_mm: tuple[float, ...] = ()
     assumed: Placed = Placed()
 
     @property
@@ -133,7 +142,17 @@ class Kinematics:
             axis = f"axis {curve.axis + 1}"
             names += [f"{axis}: {w} {n:g}q rad" for n in curve.cycles for w in ("cos", "sin")]
             names.append(f"{axis}: shift rad")
+            if self._grows(curve):
+                names.append(f"{axis}: growth by lever")
         return names
+
+    def _grows(self, curve: TransmissionCurve) -> bool:
+        """Return whether the load changes a curve's size."""
+        return curve.axis < len(self.levers_mm)
+
+    def size(self, curve: TransmissionCurve) -> int:
+        """Return the number of a curve's parameters: amplitudes, shift, growth."""
+        return 2 * len(curve.cycles) + 1 + self._grows(curve)
 
     @cached_property
     def _effects(self) -> list[tuple[int, str, float]]:
@@ -179,8 +198,8 @@ class Kinematics:
             *[assumed.reflector_mm] * (3 * self.reflectors),
             *np.repeat(links, len(self.arm)), *(sigma for _, _, sigma in self._effects),
         ]  # fmt: skip
-        size = len(sigmas) + sum(2 * len(curve.cycles) + 1 for curve in self.curves)
-        mean, covariance = np.zeros(size), np.zeros((size, size))
+        size = len(sigmas) + sum(map(self.size, self.curves))
+        mean, covariance, grown = np.zeros(size), np.zeros((size, size)), list[int]()
         at = len(sigmas)
         covariance[:at, :at] = np.diag(np.square(sigmas))
         for curve in self.curves:
@@ -188,7 +207,12 @@ class Kinematics:
             mean[at:end], mean[end] = curve.amplitude_rad.ravel(), curve.shift_rad
             covariance[at:end, at:end] = curve.covariance_rad2
             covariance[end, end] = max(curve.shift_sigma_rad, 1e-12) ** 2
-            at = end + 1
+            at += self.size(curve)
+            if self._grows(curve):
+                grown.append(at - 1)
+        growth, alike = 1.0, 0.8  # as the load itself; those of one arm correlate
+        covariance[np.ix_(grown, grown)] = growth**2 * alike
+        covariance[grown, grown] = growth**2
         return mean, covariance
 
     def start(self, T: Array, smr_mm: Array) -> State:
@@ -247,7 +271,7 @@ class Kinematics:
         """Return which joint (V - 5 n,) each parameter behind the links turns."""
         axes = [axis for axis, _, _ in self._effects]
         for curve in self.curves:
-            axes += [curve.axis] * (2 * len(curve.cycles) + 1)
+            axes += [curve.axis] * self.size(curve)
         return axes
 
     def _bent(self, state: State, joints_rad: Array) -> tuple[Array, Array]:
@@ -258,13 +282,20 @@ class Kinematics:
         blocks = [_steady(self, joints.tobytes())]
         values, linear = state.values[self.links :], np.ones(len(self._axes))
         end = blocks[0].shape[1]
+        loads = _loads(self, joints.tobytes())
         for curve in self.curves:
-            size = 2 * len(curve.cycles)
+            size, behind = 2 * len(curve.cycles), end + self.size(curve)
             amplitude, shift = values[end : end + size], values[end + size]
             shifted, at = replace(curve, shift_rad=float(shift)), joints[:, curve.axis]
-            blocks += [shifted.basis(at), shifted.slope(at) @ amplitude[:, None]]
-            linear[end + size] = 0.0  # a shift is in the basis already
-            end += size + 1
+            waves, by_shift = shifted.basis(at), shifted.slope(at) @ amplitude[:, None]
+            if self._grows(curve):
+                load = loads[:, curve.axis, None]
+                grown = 1.0 + values[behind - 1] * load
+                blocks += [grown * waves, grown * by_shift, load * (waves @ amplitude)[:, None]]
+            else:
+                blocks += [waves, by_shift]
+            linear[end + size : behind] = 0.0  # shift and growth are in the basis already
+            end = behind
         basis = np.concatenate(blocks, axis=1)
         by_axis = np.eye(len(self.arm))[self._axes]
         true: Array = joints + (basis * (values * linear)) @ by_axis
@@ -291,6 +322,16 @@ def _steady(kinematics: Kinematics, joints: bytes) -> Array:
     if kinematics.tool:
         blocks.append(tool_basis(arm, at))
     return np.concatenate(blocks, axis=1)
+
+
+@lru_cache(maxsize=2)
+def _loads(kinematics: Kinematics, joints: bytes) -> Array:
+    """Relative loads (M, G) of the first axes above those at their ``levers_mm``."""
+    arm, middle_mm = kinematics.arm.by_angles, np.array(kinematics.levers_mm)
+    if not len(middle_mm):
+        return np.zeros((0, 0))
+    at = np.frombuffer(joints).reshape(-1, len(arm))
+    return flange_levers_mm(arm, at)[:, : len(middle_mm)] / middle_mm - 1.0
 
 
 def _drive_basis(arm: Arm, joints_rad: Array) -> Array:

@@ -62,6 +62,14 @@ def tool_basis(arm: Arm, joints_rad: Array) -> Array:
     return np.concatenate(columns, axis=-1)
 
 
+def flange_levers_mm(arm: Arm, joints_rad: Array) -> Array:
+    """Return the level distances (M, n) of the flange from each row's axis."""
+    frames = _frames(arm, joints_rad)
+    origins_mm = np.stack([frame[..., :3, 3] for frame in frames], axis=-2)
+    along_mm = origins_mm[..., -1:, :2] - origins_mm[..., :-1, :2]
+    return np.asarray(np.linalg.norm(along_mm, axis=-1), dtype=float)
+
+
 def _first_of_six(arm: Arm) -> int | None:
     """Return the first of six revolute joints behind prismatic ones, None for other chains."""
     first = len(arm) - 6

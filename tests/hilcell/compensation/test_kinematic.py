@@ -100,6 +100,23 @@ def test_curves_that_help_are_used() -> None:
     assert missed_mm(with_).mean() < 0.7 * missed_mm(without).mean()
 
 
+def test_curves_grow_with_the_load() -> None:
+    arm, growth = arm_of(data := measured(64, WAVES, noise_mm=0.003)), 0.9
+    bent = arm.readings.joints_rad.copy()
+    reach_mm = np.linalg.norm(forward(ROBOT.arm, bent)[:, :2, 3], axis=1)
+    bent[:, 0] += growth * (reach_mm / reach_mm.mean() - 1.0) * WAVES.evaluate(bent[:, 0])
+    moved_mm = (forward(ROBOT.arm, bent) - forward(ROBOT.arm, arm.readings.joints_rad))[:, :3, 3]
+    readings = replace(arm.readings, xyz_mm=arm.readings.xyz_mm + moved_mm[:, None])
+    model = Kinematic.learn(replace(data, arm=replace(arm, readings=readings)))
+    assert "; the curves grow with the load" in model.decision.reason
+    at = model.kinematics.names.index("axis 1: growth by lever")
+    assert abs(model.state.values[at - model.kinematics.placed] - growth) < 0.3
+    entry = json.loads(json.dumps(model.parameters()))
+    again = Kinematic.restore(GRID, np.zeros((*GRID.shape, 3)), entry)
+    poses = poses_at(drawn_mm(9, 5))
+    np.testing.assert_allclose(again.predict(poses).error_mm, model.predict(poses).error_mm)
+
+
 def test_an_axis_that_was_not_swept_errs_smoothly_as_its_poses_show() -> None:
     arm, size_rad = arm_of(data := measured(64, WAVES)), 300e-6
     bent = arm.readings.joints_rad.copy()
@@ -219,6 +236,8 @@ def kept() -> dict[str, Any]:
         (lambda p: p["robot"]["sign"].__setitem__(0, 0.5), "sign"),
         (lambda p: p["robot"]["limits_rad"].pop(), "limits_rad"),
         (lambda p: p.update(reading_mm=-1.0), "reading_mm"),
+        (lambda p: p.update(levers_mm=[900.0]), "levers_mm: 1, expected 0 or 3"),
+        (lambda p: p.update(levers_mm=[900.0, 0.0, 700.0]), "levers_mm: expected >= 10 mm"),
         (lambda p: p["robot"].update(status=9), "status 9"),
     ],
 )
