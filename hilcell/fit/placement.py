@@ -130,12 +130,16 @@ def _first(flange: Array, rows: Measurements) -> tuple[Array, Array]:
 
 
 def _rigid(a_mm: Array, b_mm: Array, names: tuple[str, str]) -> Array:
-    """The motion (4, 4) of most points, by weights that fade beyond the median residual."""
-    fit = rigid_fit(a_mm, b_mm, names=names)
-    for _ in range(5):
-        lengths_mm = statistics.lengths_mm(fit.residuals_mm)
+    """The motion (4, 4) of most points, by weights that fade beyond the median residual, first by
+    how far their distances from others differ: one stray mirrors or turns a whole set.
+    """
+    some = slice(None, None, len(a_mm) // 200 + 1)  # enough others
+    a_apart, b_apart = (np.linalg.norm(p[:, None] - p[some], axis=-1) for p in (a_mm, b_mm))
+    lengths_mm: Array = np.median(np.abs(a_apart - b_apart), axis=1)
+    for _ in range(6):
         scale_mm = max(float(np.median(lengths_mm)), ONE_PLACE_MM)
         fit = rigid_fit(a_mm, b_mm, 1.0 / (1.0 + (lengths_mm / scale_mm) ** 2), names)
+        lengths_mm = statistics.lengths_mm(fit.residuals_mm)
     return fit.T
 
 

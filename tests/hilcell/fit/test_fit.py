@@ -309,6 +309,13 @@ def test_gross_training_rows_are_named_and_learnt_from_by_no_method() -> None:
         assert figures["mean_mm"] == pytest.approx(before["methods"][method]["mean_mm"], rel=0.15)
 
 
+def test_one_row_metres_off_is_named_and_blames_no_other() -> None:
+    rows = measured(3, 40, ["SMR1"])
+    rows.xyz_mm[7] = [10368.0, 24649.0, 9913.0]  # so far that it mirrors the rigid fit of all
+    with pytest.raises(FitError, match=r"1 of 40 rows miss grossly.*pose 3007 .*no mistake"):
+        fit_robot(IRB120, rows)
+
+
 def test_rows_that_miss_by_more_than_any_robot_errs_are_refused() -> None:
     rows = measured(1, 24, ["SMR1", "SMR2"])
     rows.xyz_mm[7, 0] += 5000.0
