@@ -15,8 +15,9 @@ from hilcell.cell.file import Cell, arm_from_joints
 from hilcell.decoding import typed
 from hilcell.fit.measurements import Measurements, read_measurements
 from hilcell.fit.methods import FitResult, fit_robot, methods_table
-from hilcell.fit.placement import FitError, place
+from hilcell.fit.placement import ABSURD_MM, CHECK_ROBOT, FitError, place_roughly
 from hilcell.fit.robot_file import Robot
+from hilcell.geometry.frames import FrameError
 from hilcell.journal.log import Log, positions_mm
 from hilcell.model.plan import PlannedStep
 from hilcell.model.point import PointId
@@ -60,13 +61,19 @@ class Campaign:
     def _check_robot(cell: Cell, rows: Measurements) -> None:
         """Raise `FitError` for poses that were measured on another robot."""
         try:
-            place(Campaign._robot(cell).arm, rows)
-        except FitError as error:
+            miss_mm = place_roughly(Campaign._robot(cell).arm, rows).miss_mm(rows)
+            half_mm = float(np.median(miss_mm))
+            why = f"nominal kinematics miss half of them by {half_mm:.4g} mm or more, expected <= "
+            why += f"{ABSURD_MM:g} mm"
+        except (FitError, FrameError) as error:
+            half_mm, why = np.inf, str(error)
+        if not half_mm <= ABSURD_MM:
             assert cell.campaign is not None  # noqa: S101 - it names the rows
             raise FitError(
                 f"campaign.poses {cell.campaign.poses}: expected rows measured on robot "
-                f"{cell.robot.name!r} of cell {cell.name}: {error} (hilcell explain {error.code})"
-            ) from error
+                f"{cell.robot.name!r} of cell {cell.name}: {why}; {CHECK_ROBOT} "
+                f"(hilcell explain {FitError.code})"
+            )
 
     def perform(self, session: CellSession) -> None:
         session.reach("connect")
