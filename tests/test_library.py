@@ -122,7 +122,7 @@ def test_a_robot_of_dh_rows_is_that_of_its_file(example_folder: Path) -> None:
         (lambda: hc.Robot.from_dh("r", np.zeros((6, 3))), r"DH rows.*\(6, 3\)"),
         (lambda: hc.Robot.from_dh("r", np.zeros((10, 4))), "got 10"),
         (lambda: hc.Robot.from_dh("r", np.zeros(())), "got 0"),
-        (lambda: hc.Robot.from_dh("r", np.zeros((6, 4)), convention="craig"), "modified-dh"),  # type: ignore[arg-type] - misspelt
+        (lambda: hc.Robot.from_dh("r", np.zeros((6, 4)), convention="craig"), "modified-dh"),  # type: ignore[arg-type]
         (lambda: hc.Robot.from_dh("r", np.full((6, 4), np.nan)), "finite"),
         (lambda: hc.Robot.from_dh("r", np.zeros((6, 4)), 0.5), "signs"),
         (lambda: hc.Measurements.from_arrays(np.zeros(4), np.zeros((4, 3))), "joints_rad"),

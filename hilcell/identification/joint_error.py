@@ -51,11 +51,11 @@ class Scales:
 
     @property
     def logs(self) -> Array:
-        noise = [[self.reading_mm], [self.pose_mm]]
-        return np.log(np.concatenate([
+        scales: Array = np.concatenate([
             self.own_rad, self.own_length_rad, self.shared_rad, self.shared_length_rad,
-            self.visit_rad, *noise,
-        ]))  # fmt: skip
+            self.visit_rad, [self.reading_mm, self.pose_mm],
+        ])  # fmt: skip
+        return np.log(scales)
 
     @staticmethod
     def prior(joints: int) -> tuple[Array, Array]:

@@ -331,7 +331,8 @@ def _loads(kinematics: Kinematics, joints: bytes) -> Array:
     if not len(middle_mm):
         return np.zeros((0, 0))
     at = np.frombuffer(joints).reshape(-1, len(arm))
-    return flange_levers_mm(arm, at)[:, : len(middle_mm)] / middle_mm - 1.0
+    levers_mm: Array = flange_levers_mm(arm, at)[:, : len(middle_mm)]
+    return np.asarray(levers_mm / middle_mm - 1.0)
 
 
 def _drive_basis(arm: Arm, joints_rad: Array) -> Array:

@@ -93,8 +93,12 @@ def most_likely(found: Regression, known: Array, cycles: Array, noise: float) ->
         away = (scales - middle) / doubt
         return 0.5 * float(away @ away) - evidence(kernel(scales), float(np.exp(scales[2])))
 
-    options = {"maxiter": 300, "xatol": 0.02, "fatol": 0.05}
-    best = minimize(cost, middle, method="Nelder-Mead", options=options).x
+    best = minimize(
+        cost,
+        middle,
+        method="Nelder-Mead",
+        options={"maxiter": 300, "xatol": 0.02, "fatol": 0.05},
+    ).x
     process, noise_found = kernel(best), float(np.exp(best[2]))
     nothing = evidence(Matern(1e-12, shortest_rad), noise)
     return Likely(process, noise_found, evidence(process, noise_found) - nothing)

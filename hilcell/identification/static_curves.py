@@ -79,7 +79,7 @@ def _sizes_rad(estimate: Estimate, processes: list[_Process]) -> Array:
             K[at, at] += block
         for process, size_rad in zip(processes, sizes, strict=True):
             K += size_rad**2 * process.moved @ process.moved.T
-        P = np.linalg.inv(K)
+        P: Array = np.asarray(np.linalg.inv(K), dtype=float)
         weighted = P @ residual
         own = np.arange(count * rows).reshape(count, rows)
         noise = noise.improved(
