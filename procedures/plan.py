@@ -184,7 +184,7 @@ def rail_travel_s(cell: Cell, distance_mm: float) -> float:
 
 def rail_move_s(cell: Cell, distance_mm: float) -> float:
     """Return the time of a motion by the drive alone until the slide is held."""
-    return rail_travel_s(cell, distance_mm) + Rests.of(cell).rail_s
+    return rail_travel_s(cell, distance_mm) + cell.settle.rail_s
 
 
 def approach_s(cell: Cell, from_mm: float, station: Station) -> float:

@@ -119,21 +119,15 @@ def nest_points(cell: Cell) -> int:
     return len(cell.layout.slide) + (0 if cell.plan.quick else FEW)
 
 
-def frame_spans(cell: Cell, here: Station, there: Station) -> list[Span]:
+def frame_spans(cell: Cell, here: Station, there: Station, *, verifies: bool = True) -> list[Span]:
     nests = plan.readings(cell, len(cell.layout.slide), cell.nest_samples)
     few = [] if cell.plan.quick else [plan.readings(cell, FEW, THREE_SAMPLES)]
-    proofs = plan.closing(cell, carried=True) if verifies(cell, there) else []
+    proofs = plan.closing(cell, carried=True) if verifies else []
     return [*plan.leg(cell, here, there), nests, *few, *proofs]
 
 
-def verifies(cell: Cell, station: Station) -> bool:
-    """Whether the tracker is verified as soon as a station is framed: on a quick plan with the
-    targets there, if any are measured.
-    """
-    return station == cell.reference or not cell.plan.quick or cell.layout.by_hand
-
-
-def frame_station(session: CellSession, station: Station) -> None:
+def frame_station(session: CellSession, station: Station, *, verifies: bool = True) -> None:
+    """Measure the nests at a station; ``verifies``: the tracker at once, not with later points."""
     if f"station.{station.name}" in session.log.frames:
         return
     cell = session.cell
@@ -149,7 +143,7 @@ def frame_station(session: CellSession, station: Station) -> None:
             three_point(session, station, nest)  # while the reflector is there
     few = [] if cell.plan.quick else cell.layout.slide[:FEW]
     three = [three_point(session, station, nest) for nest in few]
-    if verifies(cell, station):
+    if verifies:
         session.close_step(carried=True)
     if three:
         three_mm = apply(session.log.matrix("world"), positions_mm(three))

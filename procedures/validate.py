@@ -80,7 +80,7 @@ class Validate:
             ranges_mm.append(float(np.linalg.norm(at_mm, axis=1).mean()))
             stays = cell.plan.quick and here == station  # since its base was framed
             if cell.plan.quick and not stays:  # one stop, to frame and to validate
-                spans += frame_spans(cell, here, station)
+                spans += frame_spans(cell, here, station, verifies=cell.layout.by_hand)
                 points += nest_points(cell)
             else:
                 spans += plan.leg(cell, here, station)
@@ -110,7 +110,7 @@ class Validate:
         models = {Sent.IDW: paper, Sent.CHOSEN: chosen}
         for name, poses in target_poses(cell, session.seed).items():
             station = cell.station_named(name)
-            frame_station(session, station)
+            frame_station(session, station, verifies=cell.layout.by_hand)
             for how in self._series(cell):
                 every, quick = [range(len(poses))], cell.plan.quick
                 for numbers in quick_validation.rounds(session.log, name) if quick else every:

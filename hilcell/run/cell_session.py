@@ -114,10 +114,10 @@ class CellSession(Watch):
         facts = {"nominal_mm": nominal[0]}
         facts |= {} if nominal[1] is None else {"nominal_deg": nominal[1]}
         above, what = ids[0].side > 0, ids[0].key
-        robot = self.robot_to(joints_rad, what, above=above, straight=straight)
+        rest = self.rests.robot_s, self.cell.settle.robot_s
+        robot = self.robot_to(joints_rad, what, above=above, straight=straight, rest_s=rest[0])
         T_W_T = self.frames.base_in_world(station) @ forward(self.cell.robot.arm(), joints_rad)
         seats_mm, samples = self.cell.robot.seats_mm, self.cell.tracker.samples
-        rest = self.rests.robot_s, self.cell.settle.robot_s
         stray_mm = 10.0  # in the measured base: nominal errors are far less, a lost zero is more
         for n, id in enumerate(ids):
             smr_mm = seats_mm[0 if id.seat is None else id.seat - 1]

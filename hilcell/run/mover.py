@@ -352,7 +352,7 @@ class Mover(RunContext):
             return
         self._prepare_rail("rail.home", {})
         self.devices.rail.home()
-        self._hold_rail()
+        self._hold_rail(self.rests.rail_s)
 
     def rail_to(self, position_mm: float) -> None:
         """Move by the drive alone, without the strip, and hold."""
@@ -439,7 +439,7 @@ class Mover(RunContext):
             return
         began = self._prepare_rail("rail.approach", {"station": station.name})
         tries = approach_station(self.devices.rail, self.cell.rail, station)
-        self._hold_rail()
+        self._hold_rail(None if again else self.rests.rail_s)
         reading = self.devices.rail.read()
         check_strip(self.cell, reading, station, "hold")
         self.held = station
@@ -518,9 +518,10 @@ class Mover(RunContext):
         check_rail_may_move(self.cell, robot, now_s)
         return robot, now_s
 
-    def _hold_rail(self) -> None:
+    def _hold_rail(self, rest_s: float | None = None) -> None:
+        """Hold the slide and rest: the whole time unless the tracker shows the rest afterwards."""
         self.devices.rail.hold()
-        self.clock.wait(self.rests.rail_s)
+        self.clock.wait(self.cell.settle.rail_s if rest_s is None else rest_s)
 
     # -- the robot ----------------------------------------------------------------------------
 
@@ -570,11 +571,13 @@ class Mover(RunContext):
         *,
         above: bool = False,
         straight: StraightApproach | None = None,
+        rest_s: float | None = None,
     ) -> RobotReading:
-        """Move to joints (6,), every axis from below, ``above`` or ``straight``, and settle.
+        """Move to joints (6,), every axis from below, ``above`` or ``straight``, and rest.
 
-        Approaching from one side on every axis takes the joints' backlash out of the error. The
-        speed of a ``straight`` approach does not apply to a first pass.
+        ``rest_s`` is less than the whole time only where the tracker shows the rest. Approaching
+        from one side on every axis takes the joints' backlash out of the error. The speed of a
+        ``straight`` approach does not apply to a first pass.
         """
         usual_percent = self.cell.robot.speed_percent
         check_joint_limits(self.cell, joints_rad, what)
@@ -592,7 +595,7 @@ class Mover(RunContext):
                 place |= {"from_deg": np.degrees(straight.from_rad), "speed_percent": speed_percent}
             self.intend(what, "robot.move", **place, seen=reading_facts(rail, checked_s))
             reading = motion.drive(stops, speed_percent, what)
-        self.clock.wait(self.rests.robot_s)
+        self.clock.wait(self.cell.settle.robot_s if rest_s is None else rest_s)
         return reading
 
     def expect(self, station: Station, joints_rad: Array) -> None:
@@ -662,7 +665,7 @@ class Mover(RunContext):
         tracker, robot = streaming_tracker(self.devices.tracker), sweeping_robot(self.devices.robot)
         check_joint_limits(self.cell, order.target_rad, order.key)
         check_volumes_known(self.cell, order.key)
-        self.robot_to(order.start_rad, order.key)
+        self.robot_to(order.start_rad, order.key, rest_s=self.rests.robot_s)
         reflector = self.cell.tracker.reflector
         joints_deg = np.degrees(order.target_rad)
         with self.admitted() as motion:

@@ -166,6 +166,13 @@ def test_every_station_is_framed_with_all_nests() -> None:
         assert off_mm(bench, name) < 3 * figures["tool_uncertainty_mm"]
 
 
+@pytest.mark.parametrize("quick", ["false", "true"])
+def test_the_tracker_is_verified_at_every_station(quick: str) -> None:
+    bench: Any = Slide(load_cell("paper", {"plan.quick": quick}))
+    StationFrames().perform(bench)
+    assert bench.closings == len(CELL.station)
+
+
 @pytest.mark.parametrize("nest", ["P1", "P6"])
 def test_a_nest_that_moved_is_left_out_and_named(nest: str) -> None:
     """Left in, 0.2 mm of one nest of eight would turn the tool by some tenths."""

@@ -1,5 +1,6 @@
 """What a session believes of a measurement, and from which side every axis comes."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from tests.hilcell.run.bed import CELL, Bed, broken_beam
 from tests.hilcell.verdicts import base_at
 
 HOME_RAD = np.radians(CELL.robot.home_deg)
+POSE = PointId("flange", target="pose")
 S300, S1100 = CELL.station_named("S300"), CELL.station_named("S1100")
 
 
@@ -278,6 +280,35 @@ def test_on_a_quick_plan_the_robot_rests_until_the_tracker_sees_it_rest(
     bed.tracker.answer = answer
     assert bed.fault_of(act) == ""
     assert done == pytest.approx(waits)
+
+
+@pytest.mark.parametrize(
+    ("act", "rest_s"),
+    [
+        (lambda session: session.hold_station(S1100), 0.5),
+        (lambda session: session.hold_station(S1100, again=True), 2.0),
+        (lambda session: session.rail_to(1100.0), 2.0),
+        (lambda session: session.robot_to(HOME_RAD, "pose"), 1.0),
+        (lambda session: session.pose_points(HOME_RAD, [(POSE, np.zeros(3))]), 1.0),
+    ],
+    ids=["hold", "hold again", "rail", "robot", "pose"],
+)
+def test_a_rest_is_short_only_where_the_tracker_shows_it(
+    act: Callable[[CellSession], object],
+    rest_s: float,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of a hold, in the nest that verifies it; what is measured otherwise waits the whole time."""
+    bed, done = Bed(tmp_path, cell=load_cell("paper", {"plan.quick": "true"})), list[float]()
+
+    def run(session: CellSession, number: int) -> None:
+        session.hold_station(S300)
+        monkeypatch.setattr(session.clock, "wait", done.append)
+        act(session)
+
+    assert bed.fault_of(run) == ""
+    assert done == [rest_s]
 
 
 def test_the_robot_does_not_park_from_a_station_that_the_strip_no_longer_reads(bed: Bed) -> None:
