@@ -296,7 +296,9 @@ class Sweep(Protocol):
 
 @runtime_checkable
 class Streams(Protocol):
-    """A tracker that streams."""
+    """A tracker that streams: it follows a reflector that moves, so that `Tracker.measure` has to
+    point at it only where it was measured elsewhere before.
+    """
 
     def stream(
         self, near_mm: Array, reflector: str, rate_hz: float

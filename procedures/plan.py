@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from hilcell.cell.devices import Rests
+from hilcell.cell.devices import Rests, abilities
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply, from_rotvec, from_zyx, inverse, matrix, zyx_from_pose
 from hilcell.geometry.inverse import ReachError
@@ -156,9 +156,12 @@ def flange_points(cell: Cell, joints_rad: Array, *, seats: bool = False) -> Span
     percent = first_pass_percent(cell, joints_rad)
     there_s = robot_moves_s(cell, before_rad, below_rad, percent)
     landing_s = robot_moves_s(cell, below_rad, joints_rad, percent)
-    at_each_s = Rests.of(cell).robot_s + each * measure_s(cell, cell.tracker.samples)
-    seconds = float(np.sum(there_s + landing_s)) + len(joints_rad) * at_each_s
-    return Span("flange", each * len(joints_rad), seconds)
+    count, tracker = each * len(joints_rad), cell.tracker
+    # A tracker that streams follows one reflector from pose to pose.
+    pointed = 1 if each == 1 and abilities(cell)["tracker_streams"] else count
+    rests_s = len(joints_rad) * Rests.of(cell).robot_s
+    read_s = pointed * tracker.pointing_s + count * tracker.samples * tracker.reading_s
+    return Span("flange", count, float(np.sum(there_s + landing_s)) + rests_s + read_s)
 
 
 def first_pass_percent(cell: Cell, joints_rad: Array) -> Array:

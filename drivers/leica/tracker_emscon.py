@@ -134,6 +134,7 @@ class LeicaEmsconTracker:
         self._reflector = ""
         self._arrived_s = 0.0  # of the newest bytes
         self._taken_s = 0.0  # of those of the newest result
+        self._followed = False  # the beam is on the reflector that was measured last
         self._air_measured = False
         self._results = 0  # since the start was acknowledged
 
@@ -194,6 +195,7 @@ class LeicaEmsconTracker:
     def release_beam(self) -> None:
         """Send the beam home, from where a person carries the reflector or the beam elsewhere."""
         self._drop_pending()
+        self._followed = False
         self._ask(Command.GO_BIRD_BATH, limit_s=self.MOVE_S)
 
     def measure_aimed(self, reflector: str, samples: int) -> TrackerReading:
@@ -247,10 +249,15 @@ class LeicaEmsconTracker:
     # -- also for a stream --------------------------------------------------------------------
 
     def point_at(self, near_mm: Array, reflector: str) -> None:
-        """Choose a reflector and catch it near (3,) mm; drop pending results first."""
+        """Choose a reflector and catch it near (3,) mm; drop pending results first.
+
+        A beam that has followed it there stays.
+        """
         self._drop_pending()
+        followed = self._followed and reflector == self._reflector
         self._choose(reflector)
-        self._aim(near_mm)
+        if not (followed and self._looks_at(near_mm)):
+            self._aim(near_mm)
 
     def leave_stream(self) -> None:
         """Stop and put the mode back, without waiting for answers; then connect again."""
@@ -266,6 +273,7 @@ class LeicaEmsconTracker:
         options = self._options
         self._link = TcpLink(TRACKER, options.host, options.port, self._clock.check)
         self._reader, self._packets, self._reflector = emscon.PacketReader(), deque(), ""
+        self._followed = False
 
     def _initialised(self) -> SystemStatus:
         """Initialise a tracker that is not; refuse another one before its head turns."""
@@ -315,6 +323,7 @@ class LeicaEmsconTracker:
 
     def _turn_to(self, face: int) -> None:
         """Turn over, and believe it only when the face reads back."""
+        self._followed = False
         self._ask(Command.CHANGE_FACE, limit_s=self.MOVE_S)
         self.settings.expect(Setting.FACE, face)
 
@@ -350,6 +359,16 @@ class LeicaEmsconTracker:
         self._reflector = reflector
 
     # -- measuring ----------------------------------------------------------------------------
+
+    def _looks_at(self, near_mm: Array) -> bool:
+        """Whether the beam passes (3,) mm as near as a search would reach, where it is known."""
+        angles = self._answer_of(Command.GET_DIRECTION, Layout.DIRECTION)
+        if angles is None:
+            return False
+        beam = np.array(emscon.direction(*angles))
+        along_mm = float(near_mm @ beam)
+        off_mm = float(np.linalg.norm(near_mm - along_mm * beam))
+        return along_mm > 0.0 and off_mm <= self._options.find_radius_mm
 
     def _aim(self, near_mm: Array) -> None:
         """Point the beam at ``near_mm``; search around where nothing is caught there."""
@@ -445,7 +464,9 @@ class LeicaEmsconTracker:
             raise TRACKER.no_reading("HC-T05", "measure", problem, expected=self.AIR)
 
     def _reading(self, place: Place | None, reflector: str, samples: int) -> TrackerReading:
+        self._followed = False  # where this fails, the next one points at the place again
         results = [self._single(place) for _ in range(samples)]
+        self._followed = True
         points_mm = np.array([result.xyz for result in results])
         std_mm = np.array(results[0].std)
         if samples > 1:

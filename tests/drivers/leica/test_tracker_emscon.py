@@ -552,6 +552,68 @@ def test_an_older_controller_does_not_report_its_frame(bed: EmsconBed, answer: b
     np.testing.assert_allclose(tracker.measure(POINT, SMR, 1).xyz_mm, POINT, atol=1e-6)
 
 
+# -- a reflector that the beam follows -------------------------------------------------------------
+
+
+def looks(xyz_mm: Any) -> bytes:
+    """Return the answer to where the beam looks, at (3,) mm."""
+    x, y, z = xyz_mm
+    return reply(66, struct.pack("<2d", np.arctan2(y, x), np.arctan2(np.hypot(x, y), z)))
+
+
+MOVED = POINT + [80.0, 600.0, -300.0]
+
+
+@pytest.mark.parametrize(
+    ("beam", "pointed"),
+    [
+        (looks(MOVED + [0.0, 0.0, 4.0]), False),  # 5 mm are searched
+        (looks(MOVED + [0.0, 0.0, 6.0]), True),
+        (looks(-MOVED), True),
+        (looks([np.nan] * 3), True),
+        (failure(66, 2), True),
+    ],
+    ids=["there", "beside", "behind", "nan", "unknown"],
+)
+def test_a_beam_that_has_followed_its_reflector_is_not_pointed(
+    tracker: Quick, beam: bytes, pointed: bool
+) -> None:
+    peer = tracker.peer
+    peer.answers[66] = lambda _: [beam]
+    tracker.measure(POINT, SMR, 1)
+    sent, peer.xyz = len(peer.commands), tuple(MOVED)
+    np.testing.assert_array_equal(tracker.measure(MOVED, SMR, 1).xyz_mm, MOVED)
+    assert peer.commands[sent:] == [66, *([55] if pointed else []), 49, 41]
+
+
+def broken_beam(tracker: Quick) -> None:
+    whole = tracker.peer.answers.pop(49)
+    tracker.peer.answers[49] = lambda _: [reply(49), NOT_READY]
+    assert refusal(lambda: tracker.measure(POINT, SMR, 1)).code == "HC-T10"
+    tracker.peer.answers[49] = whole
+
+
+@pytest.mark.parametrize(
+    "between",
+    [
+        broken_beam,
+        lambda tracker: tracker.measure(POINT, "SMR 0.5in", 1),
+        lambda tracker: tracker.release_beam(),
+        lambda tracker: TurningPeer(tracker.peer) and tracker.measure_back(POINT, SMR, 1),
+        lambda tracker: tracker.connect(),
+    ],
+    ids=["failure", "other reflector", "released", "turned", "connected"],
+)
+def test_a_beam_that_may_have_left_its_reflector_is_pointed(tracker: Quick, between: Any) -> None:
+    peer = tracker.peer
+    peer.answers[66] = lambda _: [looks(POINT)]
+    tracker.measure(POINT, SMR, 1)
+    between(tracker)
+    sent = len(peer.commands)
+    tracker.measure(POINT, SMR, 1)
+    assert 55 in peer.commands[sent:]
+
+
 # -- a beam that a person aims, and a wider search ----------------------------------------------
 
 
