@@ -30,9 +30,10 @@ from hilcell.run.procedure import Result
 from procedures import plan
 
 DIRECTIONS = ("up", "down")
-LARGE_AXES = 3  # with levers of metres
-# On a quick plan: two periods of waves of 13 deg and more; the wrist's weigh less.
-QUICK_DEG, WRIST_DEG = 27.0, 13.0
+# A quick plan sweeps so much faster than the cell file says, with as many samples a degree, but no
+# sweep shorter than the joints' readings need.
+FASTER, LEAST_S = 3.0, 5.0
+FASTEST_HZ = 1000.0
 
 
 class Swept(StepResult, frozen=True, kw_only=True):
@@ -103,9 +104,8 @@ class AxisSweeps:
                 below_rad = below(cell, start_rad)
                 seconds += float(plan.robot_moves_s(cell, here_rad, below_rad, percent))
                 seconds += float(plan.robot_moves_s(cell, below_rad, start_rad, percent))
-                seconds += (
-                    Rests.of(cell).robot_s + self.STREAM_S + turn_deg / cell.sweeps.speed_deg_s
-                )
+                sweep_s = turn_deg / (haste(cell, turn_deg) * cell.sweeps.speed_deg_s)
+                seconds += Rests.of(cell).robot_s + self.STREAM_S + sweep_s
                 here_rad = end_rad
         count = len(DIRECTIONS) * len(self.axes(cell))
         return PlannedStep.of_spans(
@@ -148,9 +148,12 @@ class AxisSweeps:
             start_rad, end_rad = cube.ends_rad(cell, axis, direction)
             start_mm = (T_W_B @ forward(cell.robot.arm(), start_rad))[:3, 3]
             at_mm = session.frames.tracker_from_world(start_mm)[0]
-            speed_rad_s, end = float(np.radians(cell.sweeps.speed_deg_s)), float(end_rad[axis - 1])
+            end = float(end_rad[axis - 1])
+            faster = haste(cell, float(np.degrees(abs(end - start_rad[axis - 1]))))
+            speed_rad_s = faster * float(np.radians(cell.sweeps.speed_deg_s))
+            rate_hz = min(faster * cell.sweeps.rate_hz, FASTEST_HZ)
             self._record(session, SweepCommand(
-                key, start_rad, axis - 1, end, speed_rad_s, at_mm, cell.sweeps.rate_hz,
+                key, start_rad, axis - 1, end, speed_rad_s, at_mm, rate_hz,
             ))  # fmt: skip
         record = session.log.streams[key]
         data = read_stream(session.folder, record)
@@ -242,6 +245,12 @@ def left_out(cell: Cell) -> str:
     )
 
 
+def haste(cell: Cell, turn_deg: float) -> float:
+    """Return speed and samples of a sweep over those of the cell file."""
+    usual_s = turn_deg / cell.sweeps.speed_deg_s
+    return max(1.0, min(FASTER, usual_s / LEAST_S)) if cell.plan.quick else 1.0
+
+
 class CubeJoints(NamedTuple):
     """The lowest and highest joints (6,) of the grid's cube, and those at its middle."""
 
@@ -263,8 +272,6 @@ class CubeJoints(NamedTuple):
         low_rad, high_rad = self.low_rad[axis - 1], self.high_rad[axis - 1]
         centre_rad = (low_rad + high_rad) / 2
         half_rad = (high_rad - low_rad) / 2 + np.radians(cell.sweeps.margin_deg)
-        if cell.plan.quick:  # the middle of each range
-            half_rad = min(half_rad, np.radians(QUICK_DEG if axis <= LARGE_AXES else WRIST_DEG) / 2)
         start_rad, end_rad = self.middle_rad.copy(), self.middle_rad.copy()
         start_rad[axis - 1], end_rad[axis - 1] = centre_rad - half_rad, centre_rad + half_rad
         return (start_rad, end_rad) if direction == "up" else (end_rad, start_rad)

@@ -50,10 +50,20 @@ class Ripple:
             cycles = np.hstack([cycles, rng.uniform(*band.cycles, (6, band.lines))])
         self.amplitude_rad, self.cycles = amplitude, cycles
         self.phase_rad = rng.uniform(0.0, 2 * np.pi, amplitude.shape)
+        self._resonance_rad_s, self._damping = 2 * np.pi * sizes.resonance_hz, sizes.damping
 
-    def __call__(self, joints_rad: Array) -> Array:
-        """Return the ripple (..., 6) at joints (..., 6)."""
-        waves = np.sin(self.cycles * joints_rad[..., None] + self.phase_rad)
+    def __call__(self, joints_rad: Array, rates_rad_s: Array | None = None) -> Array:
+        """Return the ripple (..., 6) at joints (..., 6); None: at rest.
+
+        A turning gear drives the link through the compliance of the joint: each wave is that of a
+        resonator driven at its frequency, once the beginning of the motion has faded.
+        """
+        phase = self.cycles * joints_rad[..., None] + self.phase_rad
+        if rates_rad_s is None:
+            waves = np.sin(phase)
+        else:
+            share = self.cycles * rates_rad_s[..., None] / self._resonance_rad_s
+            waves = (np.exp(1j * phase) / (1.0 - share**2 + 2j * self._damping * share)).imag
         ripple: Array = (self.amplitude_rad * waves).sum(axis=-1)
         return ripple
 
@@ -236,10 +246,15 @@ class ArmTruth:
         true_rad = self.true_joints(joints_rad, side, landing_rad)
         return self.reflector_pose(true_rad, self.strain(warm_k))
 
-    def true_joints(self, joints_rad: Array, side: Array, landing_rad: Array) -> Array:
-        """Return the true turns about the axes (..., 6), which do not depend on temperature."""
+    def true_joints(
+        self, joints_rad: Array, side: Array, landing_rad: Array, rates_rad_s: Array | None = None
+    ) -> Array:
+        """Return the true turns about the axes (..., 6), which do not depend on temperature.
+
+        ``rates_rad_s`` (..., 6): of the joints; None at rest.
+        """
         lost = side * self.half_gap_rad + landing_rad
-        return self._by_angles(joints_rad) + lost
+        return self._by_angles(joints_rad, rates_rad_s) + lost
 
     def strain(self, warm_k: float) -> float:
         return self._machine.transmission.growth_um_m_k * 1e-6 * warm_k
@@ -311,10 +326,11 @@ class ArmTruth:
         self._chain = Chain(axes, points_mm, moved @ last)  # of the turns about the axes
         self.ideal_base = self._base_from_axes(self._design.axis_6_rad)
 
-    def _by_angles(self, joints_rad: Array) -> Array:
+    def _by_angles(self, joints_rad: Array, rates_rad_s: Array | None = None) -> Array:
         """Return turns about the axes (..., 6) with all errors that depend on them alone."""
         turned_rad = self.design.turns(joints_rad)
-        ripple = self.ripple(turned_rad)
+        turning = None if rates_rad_s is None else self.design.turns(rates_rad_s)
+        ripple = self.ripple(turned_rad, turning)
         share = self._machine.transmission.load_share
         if share:
             ripple *= 1.0 + share * self._design.loads(joints_rad)

@@ -157,7 +157,8 @@ class CellTruth:
         if name != FLANGE and name not in self._seats:
             return np.tile(self.places_in_world()[name], (len(times_s), 1))
         joints_rad, side, landing_rad = self.robot.past(times_s)
-        true_rad = self.arm.true_joints(joints_rad, side, landing_rad)
+        rates_rad_s = self._rates_rad_s(times_s, joints_rad)
+        true_rad = self.arm.true_joints(joints_rad, side, landing_rad, rates_rad_s)
         arm = self.arm.reflector_pose(true_rad, self._strain()) @ self._slip_pose
         tool = self.rail.slide_pose() @ self._T_S_R @ arm
         return tool[:, :3, 3] + tool[:, :3, :3] @ self._seats.get(name, np.zeros(3))
@@ -185,9 +186,20 @@ class CellTruth:
         robot = self.robot.state()
         cached, true_rad = self._joints_cache
         if robot is not cached:
-            true_rad = self.arm.true_joints(robot.joints_rad, robot.side, robot.landing_rad)
+            now_s, rates_rad_s = np.array([self.time.now_s()]), None
+            if robot.moving:
+                rates_rad_s = self._rates_rad_s(now_s, robot.joints_rad)[0]
+            true_rad = self.arm.true_joints(
+                robot.joints_rad, robot.side, robot.landing_rad, rates_rad_s
+            )
             self._joints_cache = (robot, true_rad)
         return true_rad
+
+    def _rates_rad_s(self, times_s: Array, joints_rad: Array) -> Array:
+        """Return the rates (N, 6) of the controller's joints, which are at (N, 6) at times (N,)."""
+        before_s = 1e-3
+        rates_rad_s: Array = (joints_rad - self.robot.past(times_s - before_s)[0]) / before_s
+        return rates_rad_s
 
     def _base_and_nests(self) -> tuple[Array, dict[str, Array]]:
         """Return {R} (4, 4) and all nests, in {W}: the same objects while the slide is at rest."""

@@ -103,6 +103,8 @@ class Transmission(Frozen, frozen=True, kw_only=True):
     unlisted_urad: Angle = 0.0  # amplitude of a harmonic that is not in the gear data
     band: list[Band] = field(default_factory=list)
     growth_um_m_k: Rate = 0.0
+    resonance_hz: Size = 8.0  # the arm's lowest, which motion excites
+    damping: Share = 0.05
 
     def __post_init__(self) -> None:
         refuse_backwards(pins=self.pins, ratios=self.ratios)

@@ -112,7 +112,8 @@ class PlanTable(Frozen, frozen=True, kw_only=True):
     share_above_max: Share = 0.1
     most_targets: Annotated[int, Meta(ge=8, le=1000)] = 96
     bound_mm: Size = 0.06
-    most_poses: Annotated[int, Meta(ge=0, le=100)] = 12
+    least_poses: Annotated[int, Meta(ge=0, le=100)] = 28
+    most_poses: Annotated[int, Meta(ge=0, le=100)] = 28
     turn_deg: Annotated[float, Meta(ge=0, le=45)] = 15.0
     tilt_deg: Annotated[float, Meta(ge=0, le=45)] = 0.0
     prove_every: Annotated[int, Meta(ge=10, le=1000)] = 100
@@ -132,7 +133,7 @@ class PlanTable(Frozen, frozen=True, kw_only=True):
         """The least and the most poses that are measured besides the grid's."""
         if self.tilt_deg:
             return self.tilt_poses, self.tilt_poses
-        return 0, self.most_poses if self.quick else 0
+        return (self.least_poses, max(self.least_poses, self.most_poses)) if self.quick else (0, 0)
 
 
 Mass = Annotated[float, Meta(ge=0, le=10_000)]
@@ -190,7 +191,8 @@ class TargetsTable(Frozen, frozen=True, kw_only=True):
 class SweepsTable(Frozen, frozen=True, kw_only=True):
     """Axis sweeps, over the cube's range of each axis and ``margin_deg`` beyond.
 
-    Above 1 deg/s an axis excites the arm; axes 4 and 6 hardly move the tool point.
+    A quick plan sweeps up to three times as fast. Faster axes excite the arm; axes 4 and 6 hardly
+    move the tool point.
     """
 
     enabled: bool = True

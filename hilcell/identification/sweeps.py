@@ -16,6 +16,7 @@ frequency, possibly coloured and unknown beforehand.
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, Self
@@ -126,6 +127,7 @@ def without_curve(axis: int, reason: str, lag_s: float = 0.0) -> CurveMeasured:
 def _judged(axis: int, found: Found, rising: Motion, falling: Motion) -> CurveMeasured:
     records, lines, speed_rad_s = found.records, found.lines, _speed(rising, falling)
     curve = found.curve(axis, speed_rad_s * max(rising.clock_s, falling.clock_s))
+    still = at_rest(curve, speed_rad_s)
     curve_rad = curve.evaluate(records.joint_rad + lines.shift.rad * records.side)
     left, signal = float(np.mean(np.square(found.waves.left_rad))), float(np.var(curve_rad))
     largest_rad = float(np.linalg.norm(lines.amplitude_rad, axis=1).max(initial=0.0))
@@ -153,13 +155,31 @@ def _judged(axis: int, found: Found, rising: Motion, falling: Motion) -> CurveMe
     return replace(
         seen,
         cycles=curve.cycles[:count].tolist(),
-        amplitude_rad=curve.amplitude_rad[:count].tolist(),
-        smooth_cycles=curve.cycles[count:].tolist(),
-        smooth_amplitude_rad=curve.amplitude_rad[count:].tolist(),
-        covariance_rad2=curve.covariance_rad2.tolist(),
+        amplitude_rad=still.amplitude_rad[:count].tolist(),
+        smooth_cycles=still.cycles[count:].tolist(),
+        smooth_amplitude_rad=still.amplitude_rad[count:].tolist(),
+        covariance_rad2=still.covariance_rad2.tolist(),
         shift_sigma_rad=curve.shift_sigma_rad,
         low_rad=curve.low_rad,
         high_rad=curve.high_rad,
+    )
+
+
+def at_rest(curve: TransmissionCurve, speed_rad_s: float) -> TransmissionCurve:
+    """Return the curve of a joint at rest, by that of one turning at a speed.
+
+    A joint's waves drive the arm, a resonator at f0: of a wave of frequency f it shows
+    1 / (1 - (f / f0)^2). All waves share the uncertainty of f0.
+    """
+    resonance_hz, doubt = 10.0, 0.5  # lowest of a large arm, and 1 sigma of its square's share
+    hz = np.repeat(curve.cycles, 2) * speed_rad_s / (2.0 * np.pi)
+    grown = np.square(hz / resonance_hz)
+    doubted_rad = doubt * grown * curve.amplitude_rad.ravel()
+    return dataclasses.replace(
+        curve,
+        amplitude_rad=curve.amplitude_rad * (1.0 - grown.reshape(-1, 2)),
+        covariance_rad2=curve.covariance_rad2 * np.outer(1.0 - grown, 1.0 - grown)
+        + np.outer(doubted_rad, doubted_rad),
     )
 
 

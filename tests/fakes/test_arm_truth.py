@@ -69,6 +69,23 @@ def test_ripple_has_the_wanted_rms() -> None:
         assert used.max() <= 500
 
 
+def test_a_turning_gear_drives_the_arm_towards_its_resonance() -> None:
+    sizes = load_machine("paper").transmission
+    turn = np.tile(np.linspace(0.0, 2 * np.pi, 4_000, endpoint=False)[:, None], 6)
+    ripple = Ripple(sizes, np.random.default_rng(1))
+    np.testing.assert_array_equal(ripple(turn), ripple(turn, None))
+    rates_rad_s = np.full_like(turn, np.radians(3.0))
+    still, up, down = (
+        np.abs(np.fft.rfft(ripple(turn, rates), axis=0)).max(axis=0)
+        for rates in (None, rates_rad_s, -rates_rad_s)
+    )
+    largest = ripple.cycles[np.arange(6), ripple.amplitude_rad.argmax(axis=1)]
+    share = largest * 3.0 / 360.0 / sizes.resonance_hz
+    np.testing.assert_allclose(up / still, 1.0 / (1.0 - share**2), rtol=0.01)
+    np.testing.assert_allclose(down, up, rtol=1e-6)
+    np.testing.assert_allclose(ripple(turn, 1e-6 * rates_rad_s), ripple(turn), atol=1e-5 * URAD)
+
+
 def test_side_of_approach_shows_as_lost_motion(cell: Cell) -> None:
     arm = arm_of(cell, 1)
     joints = np.radians(cell.base_frame.axis_1_deg)

@@ -424,7 +424,7 @@ def test_a_packet_may_wait_for_the_next(stream: Streaming) -> None:
     assert len(stream.stop()[0]) == 9 + 1
 
 
-SAMPLES_MM = [[4310.028578, 734.154198, 741.170459], [4213.508629, 909.940104, 435.281048]]
+SAMPLES_MM = [[4310.083555, 734.212459, 741.205437], [4213.508629, 909.940104, 435.281048]]
 
 
 @pytest.mark.parametrize("leaps_s", [[0.01] * 60, [0.157, 0.001, 0.442], [0.6]])

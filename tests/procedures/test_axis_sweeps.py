@@ -20,7 +20,7 @@ from hilcell.identification.sweeps import transmission_curve
 from hilcell.ports import Array, HilcellError, JointSample, NoReading, RobotReading, StreamBlock
 from hilcell.run import mover
 from procedures import axis_sweeps
-from procedures.axis_sweeps import AxisSweeps, CubeJoints, left_out
+from procedures.axis_sweeps import AxisSweeps, CubeJoints, haste, left_out
 from tests.hilcell.identification.axis_streams import Axis, periodic
 from tests.hilcell.run.bed import CELL, Bed
 from tests.hilcell.run.rig import DeskRail, DeskRobot, DeskTracker, procedure
@@ -234,6 +234,15 @@ def test_the_plan_states_how_long_the_sweeps_take() -> None:
     assert step.spans[0].measured == 8
     quick = AxisSweeps().plan(load_cell("paper", {"plan.quick": "true"}), 1)
     assert quick.duration_s < 0.5 * step.duration_s
+
+
+def test_a_quick_plan_sweeps_faster_with_as_many_samples_a_degree() -> None:
+    """But no sweep is so short that the joints' readings are too few."""
+    quick = load_cell("paper", {"plan.quick": "true", "sweeps.speed_deg_s": "0.5"})
+    assert haste(CELL, 60.0) == 1.0
+    assert haste(quick, 60.0) == 3.0
+    assert haste(quick, 6.0) == pytest.approx(12.0 / 5.0)
+    assert haste(quick, 2.0) == 1.0
 
 
 def test_a_sweep_beyond_a_joints_limit_is_refused() -> None:

@@ -154,6 +154,22 @@ def test_what_a_sweep_hardly_determines_is_uncertain() -> None:
     assert 0.05 < np.mean(squares) < 2.5
 
 
+@pytest.mark.parametrize("resonance_hz", [8.0, 10.0, 14.0])
+def test_what_a_resonance_adds_to_a_fast_sweep_is_taken_off_and_doubted(
+    resonance_hz: float,
+) -> None:
+    speed_deg_s, cycles, size = 3.0, 300.0, 45.0
+    grown = 1.0 / (1.0 - (cycles * speed_deg_s / 360.0 / resonance_hz) ** 2)
+    fast = replace(AXIS_1, speed_deg_s=speed_deg_s, rate_hz=60.0)
+    curve = transmission_curve(swept(replace(fast, ripple=lines((cycles, grown * size, 0.4)))))
+    off_urad = float(np.linalg.norm(curve.amplitude_rad[0])) / URAD - size
+    sigma_urad = float(np.sqrt(np.trace(curve.covariance_rad2[:2, :2]))) / URAD
+    assert abs(off_urad) < (0.5 if resonance_hz == 10.0 else 1.5 * sigma_urad)
+    assert 1.0 < sigma_urad < 3.0
+    as_shown = replace(fast, ripple=lines((30.0, size, 0.4)))
+    assert left_urad(as_shown, swept(as_shown)) < 1.0
+
+
 def test_lost_samples_and_single_spikes_are_survived() -> None:
     up, down = AXIS_1.streams()
     keep = np.ones(len(up.device_s), dtype=bool)
