@@ -19,7 +19,14 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.file import Calibration
-from hilcell.calibration.frames import Frames, base_covariance, hold_covariance, world_as_framed
+from hilcell.calibration.frames import (
+    Frames,
+    base_covariance,
+    hold_covariance,
+    nest_noise,
+    world_as_framed,
+    world_covariance,
+)
 from hilcell.calibration.influence import (
     ASSUMED,
     MEASURED,
@@ -44,7 +51,13 @@ from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.cell.file import Station
 from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.geometry.kinematics import forward
-from hilcell.geometry.statistics import chi2_quantile, rectangular_variance, rms, trace_freedom
+from hilcell.geometry.statistics import (
+    chi2_quantile,
+    effective_freedom,
+    rectangular_variance,
+    rms,
+    trace_freedom,
+)
 from hilcell.journal.log import Log, commanded_rad, covariances_mm2, positions_mm, variances_mm2
 from hilcell.model.frame import TouchedBase
 from hilcell.model.point import Point, Sent
@@ -151,12 +164,23 @@ class _Lines:
 
     def world(self) -> Influence:
         """{W} as defined by the floor nests: their noise and the reflector's centring."""
-        framed = world_as_framed(self.log)
-        known = np.zeros((6, 6)) if framed is None else framed
+        log, how, freedom = self.log, "the floor nests were not all measured", math.inf
+        framed = world_as_framed(log)
+        if framed is not None:
+            nests, at_mm = nest_noise(log), log.matrix("base")[:3, 3]
+            how = f"{nests.how}, and the reflector's centring in each, carried to the target"
+            centring_mm2 = rectangular_variance(log.cell.uncertainty.smr_centring_limit_mm)
+            noise_mm2, whole_mm2 = (
+                float(np.trace(world_covariance(log, at_mm, each_mm2)[:3, :3]))
+                for each_mm2 in (0.0, centring_mm2)
+            )
+            traces_mm2 = [[noise_mm2], [whole_mm2 - noise_mm2]]
+            freedom = float(effective_freedom(traces_mm2, [nests.freedom, math.inf])[0])
         return Influence(
-            "World frame", f"{MEASURED}, and {ASSUMED}",
-            "noise of the three floor nests and the reflector's centring in each, carried to the "
-            "target", "5.1.2", "world", moved_frame(known), applies="in use",
+            "World frame", f"{MEASURED}, and {ASSUMED}", how, "5.1.2", "world",
+            moved_frame(np.zeros((6, 6)) if framed is None else framed),
+            freedom=freedom if math.isfinite(freedom) else None,
+            applies="in use",
         )  # fmt: skip
 
     def tracker(self) -> Influence:

@@ -8,7 +8,9 @@ frame's origin (mm), rotation vector about it (rad), axes of {W}, as in `hilcell
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,12 +28,14 @@ from hilcell.geometry.frames import (
     three_point_frames,
 )
 from hilcell.geometry.kinematics import forward
-from hilcell.geometry.statistics import rectangular_variance
-from hilcell.journal.log import Log, positions_mm, variances_mm2, world_key
+from hilcell.geometry.statistics import f_quantile, rectangular_variance, trace_freedom
+from hilcell.journal.log import Log, noise_at, positions_mm, run_noise, variances_mm2, world_key
 from hilcell.journal.previous_reference import FLOOR_NESTS
 from hilcell.model.frame import TouchedBase
 from hilcell.model.point import Point, PointId
 from hilcell.ports import Array
+
+RESTLESS_RISK = 0.001  # that chance alone makes a nest restless, in a run
 
 
 def base_at(T_W_S1: Array, T_W_Si: Array, T_W_B1: Array) -> Array:
@@ -166,14 +170,55 @@ def floor_points(log: Log) -> list[Point]:
     return [nest for nest in nests if nest is not None]
 
 
+class NestNoise(NamedTuple):
+    """Covariances (N, 3, 3) of N nests' averaged readings, tracker's frame; degrees of freedom.
+
+    ``restless``: names of the nests that scatter more than chance makes of the run's noise.
+    """
+
+    covariances_mm2: Array
+    freedom: float
+    restless: tuple[str, ...]
+
+    @property
+    def how(self) -> str:
+        by_own = f"; {', '.join(self.restless)} scatters more, and counts by its own readings"
+        return f"noise of the three floor nests by all readings{by_own if self.restless else ''}"
+
+
+def nest_noise(log: Log) -> NestNoise:
+    """Noise of the floor nests that define {W}, by all readings of the run.
+
+    A nest's own few readings say little: the spread of 2 is half the noise or less in 38 % of all
+    places. They count where they scatter more than that, as on a stand that trembles.
+    """
+    noise, points = run_noise(log), floor_points(log)
+    covariances_mm2, own_mm2 = noise_at(noise, points), variances_mm2(points)
+    stated = all(point.samples == 1 for point in points)  # by the instrument, so no estimate
+    freedom, restless = math.inf if stated else noise.freedom, []
+    most_freedom = 1e6  # as good as infinite, which a noise of 0 has
+    for row, point in enumerate(points):
+        own_freedom = trace_freedom(covariances_mm2[row], max(point.samples - 1, 1))
+        own_freedom = min(own_freedom, most_freedom)
+        most = f_quantile(1.0 - RESTLESS_RISK / len(points), own_freedom, noise.freedom)
+        if not own_mm2[row].sum() <= most * np.trace(covariances_mm2[row]):
+            covariances_mm2[row] = np.diag(own_mm2[row])
+            freedom = min(freedom, own_freedom)
+            restless.append(point.id.nest)
+    return NestNoise(covariances_mm2, freedom, tuple(restless))
+
+
 def world_covariance(log: Log, at_mm: Array, centring_mm2: float = 0.0) -> Array:
     """Covariance of a frame at ``at_mm`` (3,) by the noise of the floor nests.
 
-    Three nests span {W} (eqs 14-16), so each coordinate of each is moved by its own standard
-    deviation. ``centring_mm2``: additional variance of each.
+    Three nests span {W} (eqs 14-16), so each moves along each principal axis of its noise, by the
+    standard deviation there. ``centring_mm2``: additional variance of each.
     """
-    std_mm = np.sqrt(variances_mm2(floor_points(log)) + centring_mm2)
-    moved = _world_motions(log, at_mm, np.diag(std_mm.ravel()).reshape(-1, FLOOR_NESTS, 3))
+    values, axes = np.linalg.eigh(nest_noise(log).covariances_mm2 + centring_mm2 * np.eye(3))
+    steps_mm = np.zeros((FLOOR_NESTS, 3, FLOOR_NESTS, 3))
+    for nest in range(FLOOR_NESTS):
+        steps_mm[nest, :, nest] = np.sqrt(np.maximum(values[nest], 0.0))[:, None] * axes[nest].T
+    moved = _world_motions(log, at_mm, steps_mm.reshape(-1, FLOOR_NESTS, 3))
     return np.asarray(moved.T @ moved)
 
 

@@ -14,11 +14,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from hilcell.calibration.frames import world_as_framed
+from hilcell.calibration.frames import nest_noise, world_as_framed
 from hilcell.calibration.influence import ASSUMED, MEASURED
 from hilcell.cell.uncertainty import COVERAGE_FACTOR, UncertaintyTable
 from hilcell.geometry.frames import apply, motion_levers
-from hilcell.geometry.statistics import lengths_mm, rectangular_variance, rms
+from hilcell.geometry.statistics import coverage_factor, lengths_mm, rectangular_variance, rms
 from hilcell.journal.log import Log, of_measured, positions_mm, variances_mm2
 from hilcell.model.point import Point
 from hilcell.ports import Array
@@ -31,7 +31,7 @@ class Contribution:
     """One line of a budget.
 
     ``estimate_mm`` is a standard deviation (normal) or a half-width (rectangular, GUM 4.3.7).
-    ``halved_by`` is what makes it half as large.
+    ``halved_by`` names the change that halves ``estimate_mm``.
     """
 
     name: str
@@ -160,9 +160,11 @@ class _Contributions:
         whole, noise = world_as_framed(self.log), world_as_framed(self.log, centred=True)
         if whole is None or noise is None:
             return []
+        nests = nest_noise(self.log)
+        widened = coverage_factor(COVERAGE_FACTOR, nests.freedom) / COVERAGE_FACTOR  # GUM G.3
         return [
-            Contribution(WORLD, self._at_points_mm(noise), "normal", MEASURED,
-                         "noise of the three floor nests, carried to the points", "5.1.2",
+            Contribution(WORLD, widened * self._at_points_mm(noise), "normal", MEASURED,
+                         f"{nests.how}, carried to the points", "5.1.2",
                          "4 times the readings of each floor nest (layout.nest_samples)"),
             Contribution(CENTRED, self._at_points_mm(whole - noise), "normal", ASSUMED,
                          "the reflector's centring in the three floor nests, carried to the points",

@@ -218,8 +218,7 @@ class BeamNoise:
 
     def at(self, at_mm: Array, samples: ArrayLike) -> Array:
         """Return the covariances (N, 3, 3) of averages of so many readings at places (N, 3)."""
-        beams, range_m2 = _beams(at_mm)
-        along = beams[:, :, None] * beams[:, None, :]
+        along, range_m2 = _beams(at_mm)
         across_mm2 = (self.across_mm2_m2 * range_m2)[:, None, None]
         single_mm2 = self.along_mm2 * along + across_mm2 * (np.eye(3) - along)
         return np.asarray(single_mm2 / np.asarray(samples, dtype=float)[:, None, None])
@@ -231,9 +230,9 @@ def beam_noise(at_mm: Array, std_mm: ArrayLike, samples: ArrayLike) -> BeamNoise
     ``std_mm`` (N, 3): of a single reading, axes of the tracker, from ``samples`` (N,); one sample:
     as the instrument states. Least squares with weights as of variances, both non-negative.
     """
-    beams, range_m2 = _beams(at_mm)
+    along, range_m2 = _beams(at_mm)
     freedom = np.maximum(np.asarray(samples, dtype=float) - 1.0, 1.0)
-    shares = np.square(beams)
+    shares = np.diagonal(along, axis1=1, axis2=2)
     A = np.stack([shares, range_m2[:, None] * (1.0 - shares)], axis=-1).reshape(-1, 2)
     stated_mm2 = np.square(np.asarray(std_mm, dtype=float)).reshape(-1)
     known = np.repeat(np.sqrt(freedom), 3)
@@ -250,10 +249,12 @@ def beam_noise(at_mm: Array, std_mm: ArrayLike, samples: ArrayLike) -> BeamNoise
 
 
 def _beams(at_mm: Array) -> tuple[Array, Array]:
-    """Return the beams' directions (N, 3) and their squared lengths (N,) in m^2."""
-    least_mm = 1.0  # range of a beam: the centre of the tracker has no direction
-    range_mm = np.maximum(lengths_mm(at_mm), least_mm)
-    return at_mm / range_mm[:, None], np.square(range_mm / 1000.0)
+    """Return the projections (N, 3, 3) on the beams and their squared lengths (N,) in m^2."""
+    range_mm = lengths_mm(at_mm)
+    directed = range_mm > 1.0  # the centre of the tracker has no direction: all is along there
+    beams = at_mm / np.where(directed, range_mm, 1.0)[:, None]
+    along = np.where(directed[:, None, None], beams[:, :, None] * beams[:, None, :], np.eye(3))
+    return along, np.square(range_mm / 1000.0)
 
 
 def _non_negative(A: Array, b: Array) -> Array:

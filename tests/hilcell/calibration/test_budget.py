@@ -37,7 +37,8 @@ def calibrated(folder: Path, **uncertainty: object) -> Writer:
     for name, y_mm in (("S300", -800.0), ("S1100", 0.0), ("S1900", 800.0)):
         placed = pose_from_zyx(-1850, y_mm, 300, 0, 0, 0)
         writer.frame(f"station.{name}", matrix=placed, covariance=COVARIANCE)
-    return writer.visited([1000.0 + OFFSETS_MM, OFFSETS_MM])
+    far_mm = 1500.0 / math.sqrt(3.0)  # as far as F2 and F3, so that the noise is alike there
+    return writer.visited([far_mm + OFFSETS_MM, OFFSETS_MM])
 
 
 def lines(log: Log, station: str = "S1100") -> dict[str, Influence]:

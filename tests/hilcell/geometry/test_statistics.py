@@ -217,3 +217,9 @@ def test_few_scores_bound_nothing() -> None:
     scores = np.arange(LEAST_BOUNDED)
     assert conformal_factor(scores) == LEAST_BOUNDED - 1
     assert math.isinf(conformal_factor(scores[1:]))
+
+
+def test_at_the_centre_of_the_tracker_all_noise_is_along_the_beam() -> None:
+    at_mm = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 2000.0]])
+    found = beam_noise(at_mm, np.full((2, 3), 0.1), np.array([5, 5]))
+    np.testing.assert_allclose(found.at(at_mm, [1, 1]), np.tile(0.01 * np.eye(3), (2, 1, 1)))
