@@ -54,6 +54,13 @@ def undetectable_errors(cell: Cell, *, two_faces: bool) -> list[str]:
             f"the first point on, such as a brake of axis 2 that slips by {slip_deg:g} deg, is not "
             f"detected; it moves targets by {slipped_mm:.2f} mm (rms)"
         )
+    if cell.plan.quick:
+        share, fewest = cell.plan.share_above_max, 8  # targets
+        errors.append(
+            f"a quick plan accepts a station by {fewest} targets: an error in {share:.0%} "
+            "of the volume at that station alone is missed with a probability of up to "
+            f"{(1.0 - share) ** fewest:.2f}; calibrate with --full where this matters"
+        )
     errors.append(
         "a reflector that differs from the others: a prism 0.15 mm too long on the flange moves "
         "targets by 0.15 mm; compare all reflectors once (hilcell run reflectors, attended), and "

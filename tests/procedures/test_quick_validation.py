@@ -16,6 +16,7 @@ from hilcell.calibration.grid import grid_of
 from hilcell.calibration.position_errors import Errors
 from hilcell.calibration.touch import touch_count
 from hilcell.cell.file import load_cell
+from hilcell.cell.undetectable_errors import undetectable_errors
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.journal.log import Log
 from hilcell.model.outcome import Outcome
@@ -296,6 +297,19 @@ def test_normal_errors_need_one_block() -> None:
     decided = [usual.decide(0.4 * RULE.mean_limit_mm * each) for each in errors]
     assert {each.outcome for each in decided} == {Outcome.ACCEPTED}
     assert sum(each.targets == 8 for each in decided) >= 0.9 * len(errors)
+
+
+def test_gross_errors_in_a_tenth_of_one_station_alone_pass_as_often_as_check_states() -> None:
+    """The grid and the other stations show nothing of them: only its own targets can."""
+    rng = np.random.default_rng(4)
+    usual, shape = replace(RULE, rising=True), (2000, MOST)
+    small = normal(rng, shape) / math.sqrt(8.0 / math.pi) * 0.4 * RULE.mean_limit_mm
+    errors = np.where(rng.uniform(size=shape) < RULE.share, 5.0 * RULE.max_limit_mm, small)
+    passed = sum(usual.decide(each).outcome is Outcome.ACCEPTED for each in errors) / len(errors)
+    assert f"up to {(1.0 - RULE.share) ** RULE.block:.2f}" in " ".join(
+        undetectable_errors(QUICK, two_faces=True)
+    )
+    assert 0.38 <= passed <= 0.45
 
 
 @pytest.mark.parametrize(

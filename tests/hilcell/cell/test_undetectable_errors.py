@@ -22,6 +22,7 @@ ACROSS = {
         (ACROSS, True, []),
         (ACROSS, False, ["turned over"]),
         (WITHOUT, True, ["100 ppm move targets by 0.12 mm"]),
+        (ACROSS | {"plan.quick": "true"}, True, ["in 10% of the volume at that station"]),
     ],
 )
 def test_each_is_listed_with_its_effect(
@@ -31,6 +32,13 @@ def test_each_is_listed_with_its_effect(
     always = ["a prism", "robot.smr_mm", "0.03 mm in each floor nest"]
     assert len(errors) == len([*more, *always])
     assert all(part in text for part, text in zip([*more, *always], errors, strict=True))
+
+
+@pytest.mark.parametrize(("share", "missed"), [("0.1", "0.43"), ("0.3", "0.06")])
+def test_a_quick_plan_misses_a_small_part_of_one_station(share: str, missed: str) -> None:
+    cell = load_cell("paper", {"plan.quick": "true", "plan.share_above_max": share})
+    (text,) = [each for each in undetectable_errors(cell, two_faces=True) if "quick plan" in each]
+    assert f"up to {missed}" in text
 
 
 def test_worse_repeatability_is_not_detected_without_a_data_sheet() -> None:
