@@ -21,7 +21,6 @@ from hilcell.calibration.position_errors import judged_places, places
 from hilcell.cell.file import load_cell
 from hilcell.geometry.statistics import chi2_quantile, lengths_mm
 from hilcell.model.outcome import Outcome
-from hilcell.model.point import PointId
 from hilcell.model.results import Decided
 from hilcell.model.verdicts import Judged, Limits, OrientationError
 from hilcell.ports import Array, HilcellError
@@ -125,10 +124,7 @@ def test_a_limit_that_nothing_could_keep_is_refused_before_anything_moves(name: 
 
 
 def test_the_noise_of_readings_averages_and_nothing_else(tmp_path: Path) -> None:
-    writer = Writer(tmp_path / "few").began()
-    for n, nest in enumerate(("F1", "F2", "F3")):
-        writer.point(PointId("world", nest=nest), (1000.0 * n, 1000.0 * (n == 1), 0))
-    log = writer.facts().log
+    log = Writer(tmp_path / "few").began().nests_read().facts().log
     budget = measurement_budget(log)
     assert budget is not None
     noise_mm = next(line.u_mm for line in budget.lines if line.name == NOISE)

@@ -121,11 +121,7 @@ def test_an_estimate_divided_gives_u() -> None:
 
 
 def test_the_mean_s_table_says_what_averages_and_what_stays(tmp_path: Path) -> None:
-    writer = Writer(tmp_path / "r").began()
-    for n, nest in enumerate(("F1", "F2", "F3")):
-        writer.point(PointId("world", nest=nest), (1000.0 * n, 1000.0 * (n == 1), 0))
-    log = writer.facts().log
-    budget = measurement_budget(log)
+    budget = measurement_budget(Writer(tmp_path / "r").began().nests_read().facts().log)
     assert budget is not None
     few = Errors(np.zeros((4, 3)), np.tile([5.0, 0.0, 0.0], (4, 1)))
     table = mean_table(budget, {"S300": few, "others": replace(few, error_mm=few.error_mm * 2)})
