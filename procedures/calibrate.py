@@ -13,6 +13,7 @@ from procedures.axis_sweeps import AxisSweeps
 from procedures.base_frame import BaseFrame
 from procedures.fit import Choice, Fit, SignCheck
 from procedures.rail import HoldStation, RailSurvey, StationRepeatability
+from procedures.recalibration import TABLE, CarriedArm, Once
 from procedures.repeatability import Repeatability, Revisits
 from procedures.robot_grid import ChosenPoses, RobotGrid
 from procedures.station_frames import FrameRepeatability, StationFrames
@@ -98,16 +99,17 @@ CALIBRATE = Procedure(
     "calibrate",
     "the paper's calibration, validated before and after at every station",
     (
+        CarriedArm(),
         Home(),
         WorldFrame(),
         TwoFaces(),
         HoldStation(),
         BaseFrame(),
         RobotGrid(),
-        AxisSweeps(),
+        Once(AxisSweeps()),
         ChosenPoses(),
-        Repeatability(),
-        Revisits(),
+        Once(Repeatability()),
+        Once(Revisits()),
         StationFrames(validated=True),
         Fit(),
         SignCheck(),
@@ -117,5 +119,6 @@ CALIBRATE = Procedure(
     ),
     Validate.table,
     words=words,
+    may_use=TABLE,
     quick=True,
 )

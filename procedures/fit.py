@@ -58,7 +58,7 @@ class Fit:
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse a grid of one cell: nothing in it could be left out."""
         shape = grid_of(cell).shape
-        if max(shape) < 3:
+        if max(shape) < 3 and not cell.plan.recalibrates:
             raise HilcellError(
                 f"grid of {' x '.join(map(str, shape))} vertices, expected three along one axis "
                 "at least; choose a smaller pitch_mm",
@@ -115,7 +115,7 @@ def orients(log: Log) -> bool:
 
 
 def _orients(cell: Cell, name: str, measured: Measured) -> bool:
-    vertex = plan.poses_at(cell, measured.grid.grid.origin_mm[None])
+    vertex = plan.poses_at(cell, grid_of(cell).origin_mm[None])
     return MODELS[name].learn(measured).predict(vertex).orientation is not None
 
 

@@ -17,12 +17,15 @@ import numpy as np
 from hilcell.calibration.changes import compared
 from hilcell.calibration.diagnosis import CLOSING, REVISIT, SecondVisits, suspected_causes
 from hilcell.calibration.grid import grid_of, vertex_ids
+from hilcell.calibration.known_arm import carried_calibration
 from hilcell.calibration.lost_motion import REVERSAL, reversal
+from hilcell.calibration.position_errors import visit_scatter
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
 from hilcell.geometry.statistics import (
     figures_of,
     from_mean_mm,
+    lengths_mm,
     repeatability_mm,
     rms,
     without_noise,
@@ -46,6 +49,7 @@ from procedures.plan import (
     poses_at,
     stations_in_order,
 )
+from procedures.robot_grid import chosen_rad, planned_rad
 
 VISITS = 10
 
@@ -132,8 +136,17 @@ class Repeatability:
 
     @staticmethod
     def floor(log: Log) -> Floor:
-        """Return mean and p95 of a perfect map's errors: one visit's distance from the mean."""
-        figures = figures_of(Repeatability.distances_mm(log))
+        """Return mean and p95 of a perfect map's errors: one visit's distance from the mean. Of a
+        re-calibration by the scatter that it carries.
+        """
+        if carried_calibration(log) is None:
+            figures = figures_of(Repeatability.distances_mm(log))
+        else:
+            scatter_mm2, *_ = visit_scatter(log, np.eye(3))
+            drawn = np.random.default_rng(9283).multivariate_normal(
+                np.zeros(3), scatter_mm2, 10_000
+            )
+            figures = figures_of(lengths_mm(drawn))
         return Floor(mean=figures.mean, p95=figures.p95)
 
 
@@ -162,7 +175,10 @@ class Revisits:
 
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Return the step: the grid's own has refused vertices out of reach."""
-        joints_rad = np.array([visit.joints_rad for visit in visits(cell, self._kind)])
+        poses = visits(cell, self._kind)
+        if cell.plan.recalibrates:
+            poses = revisited_poses(planned_rad(cell, seed))
+        joints_rad = np.array([visit.joints_rad for visit in poses])
         spans = [flange_points(cell, joints_rad), *closing(cell)]
         if self._kind == CLOSING:
             spans = [*leg(cell, stations_in_order(cell)[-1], cell.reference), *spans]
@@ -171,6 +187,8 @@ class Revisits:
     def perform(self, session: CellSession) -> None:
         cell, log = session.cell, session.log
         station, poses = cell.reference, visits(cell, self._kind)
+        if cell.plan.recalibrates:
+            poses = revisited_poses(chosen_rad(log))
         T_W_B = session.frames.base_in_world(station)
         while waiting := [visit for visit in poses if self._waits(log, visit.id)]:
             session.expect(station, np.array([visit.joints_rad for visit in waiting]))
@@ -249,10 +267,20 @@ def visits(cell: Cell, kind: str) -> list[Visit]:
     return found
 
 
+def revisited_poses(poses_rad: Array) -> list[Visit]:
+    """Poses of a re-calibration's chosen ones (N, 6), at the end."""
+    numbers = _spread(len(poses_rad), 3)
+    return [Visit(PointId(CLOSING, number=n), poses_rad[n]) for n in numbers]
+
+
 def revisited(cell: Cell) -> list[int]:
-    """Return the numbers of the vertices that are re-visited: the first, and evenly on."""
-    count = len(grid_of(cell).serpentine_mm())
-    wanted = min(3 if cell.plan.quick else 12, count)
+    """Return the numbers of the vertices that are re-visited."""
+    return _spread(len(grid_of(cell).serpentine_mm()), 3 if cell.plan.quick else 12)
+
+
+def _spread(count: int, most: int) -> list[int]:
+    """Return numbers below a count: the first, and evenly on."""
+    wanted = min(most, count)
     return [n * count // wanted for n in range(wanted)]
 
 

@@ -26,11 +26,14 @@ from hilcell.calibration.grid import (
     outlying_vertices,
     vertex_ids,
 )
+from hilcell.calibration.known_arm import known_arm
+from hilcell.calibration.lookup import calibration_named
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.kinematic import Kinematic
 from hilcell.geometry.frames import apply, matrix, to_rotvec
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import bounds95_mm
+from hilcell.identification.known_arm import KnownArm
 from hilcell.identification.measured_poses import IdentificationError
 from hilcell.journal.log import Log
 from hilcell.model.events import NoPosesChosen, OutlierRemeasured, PosesChosen
@@ -40,6 +43,7 @@ from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result, Step
 from procedures import plan
+from procedures.recalibration import CARRIED, TABLE, arm_in, followed
 
 # Identity, joints (6,) in rad, nominal position (3,) and angles (3,) in {W}.
 Vertex = tuple[PointId, Array, Array, Array]
@@ -60,6 +64,8 @@ class RobotGrid(Step):
         """Refuse vertices out of reach, out of limits or out of sight, at any station."""
         vertices_mm = grid_of(cell).serpentine_mm()
         there = cell.reference
+        if cell.plan.recalibrates:
+            return PlannedStep(self.name, 0, 0.0, note=CARRIED)
         joints_rad = plan.check_targets(
             cell, there, plan.poses_at(cell, vertices_mm), "grid vertex"
         )
@@ -79,6 +85,9 @@ class RobotGrid(Step):
 
     def perform(self, session: CellSession) -> None:
         cell, station = session.cell, session.cell.reference
+        if cell.plan.recalibrates:
+            session.reach("measure_grid")
+            return
         vertices_mm, ids = grid_of(cell).serpentine_mm(), vertex_ids(grid_of(cell))
         T_W_B = session.frames.base_in_world(station)
         vertices = self._sent(cell, T_W_B, ids, plan.poses_at(cell, vertices_mm))
@@ -146,7 +155,9 @@ CANDIDATES = 128
 
 
 class ChosenPoses:
-    """Drives to the most informative poses beside the grid: of a quick or a reoriented plan."""
+    """Drives to the most informative poses: beside the grid of a quick or a reoriented plan, or
+    those that tell in a re-calibration how the arm has changed.
+    """
 
     name = "chosen-poses"
     needs = "the grid, and the sweeps where there are any"
@@ -159,7 +170,8 @@ class ChosenPoses:
         least, _ = cell.plan.pose_counts
         if not least:
             return PlannedStep(self.name, 0, 0.0)
-        joints_rad = candidates_rad(cell)[:least]
+        known = cell.plan.recalibrates
+        joints_rad = planned_rad(cell, seed) if known else candidates_rad(cell)[:least]
         joints_rad = joints_rad[nearest_next(cell, joints_rad)]
         measured = plan.flange_points(cell, joints_rad, seats=True)
         points = len(joints_rad) * len(cell.robot.seats_mm)
@@ -168,29 +180,32 @@ class ChosenPoses:
     def perform(self, session: CellSession) -> None:
         if not any(session.cell.plan.pose_counts):
             return
-        known = [*session.log.happened(PosesChosen)]
-        event = known[0] if known else self._choose(session)
+        if not session.log.happened(PosesChosen):
+            self._choose(session)
         station = session.cell.reference
-        joints_rad = np.radians(event.joints_deg).reshape(-1, 6)
+        joints_rad = chosen_rad(session.log)
         nominal_mm = forward(session.cell.robot.arm(), joints_rad)[:, :3, 3]
         world_mm = apply(session.frames.base_in_world(station), nominal_mm)
         for number, (joints, at_mm) in enumerate(zip(joints_rad, world_mm, strict=True)):
             id = PointId("pose", number=number)
             session.flange_point(id, station, joints, nominal_mm=at_mm, seats=True)
         session.close_step()
+        if session.cell.plan.recalibrates:
+            followed(session.log)  # or refused
 
-    def _choose(self, session: CellSession) -> PosesChosen:
+    def _choose(self, session: CellSession) -> None:
         joints_rad = candidates_rad(session.cell)
         try:
-            found = choice(session.log, joints_rad)
+            if session.cell.plan.recalibrates:
+                joints_rad, found = telling(session.cell, arm_in(session.log), session.seed)
+            else:
+                found = choice(session.log, joints_rad)
         except IdentificationError as error:
             found = Design([], [])
             session.add(NoPosesChosen(reason=str(error), error=error.facts()))
-        chosen_rad = joints_rad[found.chosen]
-        chosen_deg = np.degrees(chosen_rad[nearest_next(session.cell, chosen_rad)])
-        chosen = PosesChosen(joints_deg=chosen_deg.tolist(), bounds_mm=found.bounds_mm)
-        session.add(chosen)
-        return chosen
+        chosen = joints_rad[found.chosen]
+        chosen_deg = np.degrees(chosen[nearest_next(session.cell, chosen)])
+        session.add(PosesChosen(joints_deg=chosen_deg.tolist(), bounds_mm=found.bounds_mm))
 
     def result(self, log: Log) -> Result:
         """Return the mean 95 % bound over the cube as predicted before and after each pose."""
@@ -209,6 +224,33 @@ def choice(log: Log, joints_rad: Array) -> Design:
         Rows.of(model, joints_rad, reading_mm2),
         Rows.of(model, judged_rad(cell), np.zeros((3, 3))),
         model.covariance,
+        bound_mm=cell.plan.bound_mm,
+        counts=cell.plan.pose_counts,
+    )
+
+
+def planned_rad(cell: Cell, seed: int) -> Array:
+    """Return the joints (N, 6) of the poses that a re-calibration will choose, in their order."""
+    joints_rad, found = telling(cell, known_arm(calibration_named(cell, TABLE)), seed)
+    chosen = joints_rad[found.chosen]
+    return chosen[nearest_next(cell, chosen)]
+
+
+def chosen_rad(log: Log) -> Array:
+    """Return the joints (N, 6) of the poses that a run has chosen."""
+    return np.radians(log.happened(PosesChosen)[-1].joints_deg).reshape(-1, 6)
+
+
+def telling(cell: Cell, arm: KnownArm, seed: int) -> tuple[Array, Design]:
+    """Candidates (N, 6), and those of them that tell most of a known arm."""
+    drawn, exactly = _evenly_spread(CANDIDATES, 6), np.zeros((3, 3))
+    # elsewhere each time: the same poses would repeat the errors that no parameter describes
+    drawn = (drawn + np.random.default_rng([seed, 231]).uniform(size=6)) % 1.0
+    joints_rad = _drivable_rad(cell, drawn, cell.plan.tilt_deg)
+    return joints_rad, design(
+        Rows.of(arm, joints_rad, exactly),
+        Rows.of(arm, judged_rad(cell), exactly),
+        arm.prior(arm.typical),
         bound_mm=cell.plan.bound_mm,
         counts=cell.plan.pose_counts,
     )
@@ -269,7 +311,7 @@ class Rows:
     noise_mm2: Array
 
     @classmethod
-    def of(cls, model: Kinematic, joints_rad: Array, reading_mm2: Array) -> Self:
+    def of(cls, model: Kinematic | KnownArm, joints_rad: Array, reading_mm2: Array) -> Self:
         """Return the reflector's positions at joints (N, 6), read with a covariance (3, 3)."""
         found = model.kinematics.linearised(model.state, joints_rad)
         one = (len(joints_rad), 1)

@@ -27,6 +27,7 @@ from hilcell.calibration.frames import (
     world_as_framed,
     world_covariance,
 )
+from hilcell.calibration.grid import learnt_points
 from hilcell.calibration.influence import (
     ASSUMED,
     MEASURED,
@@ -38,6 +39,13 @@ from hilcell.calibration.influence import (
     motion,
     moved_frame,
     nearest_semidefinite,
+)
+from hilcell.calibration.known_arm import (
+    APPROACH,
+    REPEATABILITY,
+    carried_arm,
+    carried_calibration,
+    carried_line,
 )
 from hilcell.calibration.lost_motion import reversal
 from hilcell.calibration.position_errors import (
@@ -58,6 +66,7 @@ from hilcell.geometry.statistics import (
     rms,
     trace_freedom,
 )
+from hilcell.identification.known_arm import AGED
 from hilcell.journal.log import Log, commanded_rad, covariances_mm2, positions_mm, variances_mm2
 from hilcell.model.frame import TouchedBase
 from hilcell.model.point import Point, Sent
@@ -71,7 +80,7 @@ DRILL = "Drill's offset"
 
 
 def target_uncertainty(log: Log) -> UncertaintyBudget:
-    if not visits_mm(log):
+    if not (visits_mm(log) or carried_calibration(log)):
         return UncertaintyBudget(missing=NO_VISITS)
     stated = log.cell.uncertainty
     lines, centring_mm = _Lines(log), stated.smr_centring_limit_mm
@@ -103,6 +112,8 @@ class _Lines:
         Without the curves of axis sweeps the residual is mostly the gears', and repeats where a
         joint's angle repeats: a grid of 64 poses may show only 16 different errors of axis 1.
         """
+        if (arm := carried_arm(self.log)) is not None:
+            return round(arm.samples / AGED) + len(learnt_points(self.log))
         points = self.log.select("grid")
         fitted = self.log.verdict(Fitted)
         if not points or (fitted is not None and fitted.curves.used):
@@ -114,6 +125,8 @@ class _Lines:
 
     def repeatability(self) -> Influence:
         """Scatter of visits in {B}, less the readings'."""
+        if (carried := carried_calibration(self.log)) is not None:
+            return carried_line(carried, REPEATABILITY)
         R = (inverse(self.log.matrix("base")) @ self.log.matrix("world"))[:3, :3]
         scatter_mm2, visits, places = visit_scatter(self.log, R)
         robot_mm2 = nearest_semidefinite(
@@ -121,7 +134,7 @@ class _Lines:
         )
         freedom = trace_freedom(scatter_mm2, visits - places)
         return Influence(
-            "Robot repeatability", MEASURED,
+            REPEATABILITY, MEASURED,
             f"{visits} visits of {places} places, less the readings' noise", "4.2.4", "base",
             motion(robot_mm2), freedom=freedom if math.isfinite(freedom) else None,
             in_model=True, per_visit=True,
@@ -129,6 +142,8 @@ class _Lines:
 
     def approach(self) -> Influence:
         """The larger of limit and measurement, of the whole distance between both directions."""
+        if (carried := carried_calibration(self.log)) is not None:
+            return carried_line(carried, APPROACH)
         limit_mm = self.log.cell.uncertainty.reversal_limit_mm
         verdict = self.log.once_measured(reversal)
         measured_mm, measured = 0.0, ""
@@ -139,7 +154,7 @@ class _Lines:
         if limit_mm:
             how = f"limit ±{limit_mm:g} mm, programs approach from any side{measured}"
             limit_mm = max(limit_mm, measured_mm)
-        return _limit("Approach direction", how, limit_mm)
+        return _limit(APPROACH, how, limit_mm)
 
     def drift(self) -> Influence:
         """Motion of the floor nests in the run, less the readings' noise."""
@@ -317,7 +332,7 @@ def in_validation(log: Log, station: Station, points: Sequence[Point]) -> list[I
         "Tracker, readings", MEASURED, f"scatter of the readings of {len(points)} points", "4.2.3",
         "world", motion(_mean_reading_mm2(points, R)), applies="in validation", per_visit=True,
     )  # fmt: skip
-    grown = growth_since(log, log.select("grid"), points, "the grid's mean")
+    grown = growth_since(log, learnt_points(log), points, "the grid's mean")
     frame = log.frames.get(f"touch.{station.name}")
     if not isinstance(frame, TouchedBase) or grown is None:
         return [readings] if grown is None else [readings, grown]

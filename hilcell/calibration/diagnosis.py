@@ -497,7 +497,8 @@ class SecondVisits:
         return self.log.recorded(self._before(point))
 
     def _before(self, point: Point) -> Point:
-        return self.log.point(replace(point.id, kind="base" if point.id.axis else "grid"))
+        first = "grid" if point.id.vertex else "pose"
+        return self.log.point(replace(point.id, kind="base" if point.id.axis else first))
 
     def change(self) -> Change:
         names = {REVISIT: "re-visited poses", CLOSING: "vertices re-visited at the end"}

@@ -13,7 +13,7 @@ from hilcell import __version__
 from hilcell.calibration.budget import target_uncertainty, touch_influence
 from hilcell.calibration.file import SCHEMA, Calibration, ModelEntry, Validity, written_now
 from hilcell.calibration.frames import Frames
-from hilcell.calibration.grid import measured_errors
+from hilcell.calibration.grid import learnt_points, measured_errors, measured_grid
 from hilcell.calibration.influence import MEASURED, Influence, moved_frame
 from hilcell.calibration.lookup import used_calibration
 from hilcell.calibration.lost_motion import lost_motion
@@ -34,7 +34,8 @@ ORIENTATION_TOLERANCE_DEG = 2.0
 
 def calibration_from_log(log: Log, run: str) -> Calibration:
     cell, frames, measured = log.cell, Frames(log.cell, log), measured_errors(log)
-    grid, sign, fit = measured.grid.grid, log.verdict(SignChecked), log.verdict(Fitted)
+    lattice, sign, fit = measured_grid(log), log.verdict(SignChecked), log.verdict(Fitted)
+    grid = lattice.grid
     if fit is None:
         raise LookupError("the run has not reached the fit")
     method = fit.method
@@ -42,7 +43,7 @@ def calibration_from_log(log: Log, run: str) -> Calibration:
         Device(each.device, each.model, each.serial, each.kind, each.maker, each.firmware)
         for each in log.assets
     ]
-    points = log.select("grid")
+    points = learnt_points(log)
     celsius = [point.temperature_c for point in points if point.temperature_c is not None]
     high_mm = grid.origin_mm + np.array(cell.grid.size_mm)
     # Some models are valid at more orientations than the grid's.
@@ -69,7 +70,7 @@ def calibration_from_log(log: Log, run: str) -> Calibration:
             for station in cell.station
         },
         "pitch_mm": grid.pitch_mm,
-        "grid_errors_mm": measured.grid.errors_mm.tolist(),
+        "grid_errors_mm": lattice.errors_mm.tolist(),
         "model": ModelEntry(method, MODELS[method].learn(measured).parameters()),
         "uncertainty": target_uncertainty(log),
         "lost_motion": lost_motion(log),

@@ -19,8 +19,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hilcell.calibration.known_arm import carried_arm
 from hilcell.cell.file import Cell, coarsest_pitch_mm
 from hilcell.compensation.grid import Grid, MeasuredGrid
+from hilcell.compensation.kinematic import Kinematic
 from hilcell.compensation.model import Measured, MeasuredArm, StaticPoses
 from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.geometry.kinematics import Array, Bools, Ints, forward
@@ -48,8 +50,16 @@ def grid_errors_mm(log: Log) -> Array:
 
 
 def measured_grid(log: Log) -> MeasuredGrid:
-    """Grid errors in {B} with the covariance of each vertex's averaged reading."""
+    """Grid errors in {B} with the covariance of each vertex's averaged reading; those of a
+    re-calibration as the arm that it follows has them.
+    """
     points, grid = log.select("grid"), grid_of(log.cell)
+    if carried_arm(log) is not None:
+        vertices_mm = grid.vertices_mm()
+        poses = matrix(log.cell.grid.centre.matrix()[:3, :3], vertices_mm.reshape(-1, 3))
+        known = Kinematic.learn(measured_errors(log)).predict(poses)
+        covariance_mm2 = known.covariance_mm2.reshape(*grid.shape, 3, 3)
+        return MeasuredGrid(grid, known.error_mm.reshape(*grid.shape, 3), covariance_mm2)
     i, j, k = np.array([point.id.vertex for point in points], dtype=int).reshape(-1, 3).T
     errors_mm: Array = np.full((*grid.shape, 3), np.nan)
     covariance_mm2: Array = np.full((*grid.shape, 3, 3), np.nan)
@@ -86,8 +96,14 @@ def measured_errors(log: Log) -> Measured:
             if seen is not None:
                 xyz_mm[row, n] = apply(T_B_L, positions_mm([seen]))[0]
                 own_mm2[row, n] = covariances_mm2([seen], T_B_L[:3, :3])[0]
-    readings = Readings(joints_rad, xyz_mm, np.nan_to_num(own_mm2))
-    return Measured(poses, measured_grid(log), MeasuredArm(robot, readings, seats_mm, curves))
+    readings, known = Readings(joints_rad, xyz_mm, np.nan_to_num(own_mm2)), carried_arm(log)
+    lattice = measured_grid(log) if known is None else None
+    return Measured(poses, lattice, MeasuredArm(robot, readings, seats_mm, curves, known))
+
+
+def learnt_points(log: Log) -> list[Point]:
+    """The points from which the correction is learnt: the grid's, in a re-calibration poses."""
+    return log.select("grid") or log.select("pose")
 
 
 def vertex_ids(grid: Grid) -> list[PointId]:
@@ -97,6 +113,8 @@ def vertex_ids(grid: Grid) -> list[PointId]:
 def outlying_vertices(log: Log) -> list[PointId]:
     """Outlying vertices, beyond the allowed deviation of a reading."""
     cell = log.cell
+    if cell.plan.recalibrates:
+        return []
     found = outlying(grid_errors_mm(log), least_mm=cell.tracker.max_std_mm)
     return [id for id in vertex_ids(grid_of(cell)) if found[id.vertex]]
 

@@ -21,6 +21,7 @@ import msgspec
 
 from hilcell.calibration.decision_rule import tolerance_limits
 from hilcell.calibration.file import Calibration, read_calibration
+from hilcell.calibration.known_arm import unfit
 from hilcell.calibration.validity import CalibrationRefused, check_usable
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
@@ -34,6 +35,8 @@ from hilcell.model.calibration import Provenance
 from hilcell.model.events import CalibrationUsed
 from hilcell.model.verdicts import Rechecked
 from hilcell.ports import HilcellError
+
+CURRENT = "current"  # names the current calibration, as no name does
 
 
 class NoCalibration(HilcellError):
@@ -144,10 +147,16 @@ def with_calibration(
     chosen = getattr(cell, table)
     if chosen is None:
         return Chosen(cell, [])  # the plan says which keys it lacks
-    named = chosen.calibration or str(_current(runs, cell, table, machine))
+    named = chosen.calibration
+    if named in ("", CURRENT):
+        named = str(_current(runs, cell, table, machine))
     used = CalibrationFile.named(named, runs)
     calibration, status = used.calibration, used.status
-    if reasons := list(_foreign(used, cell, table)):  # first: nothing accepts that of another cell
+    carries = table == "plan"  # the arm alone: frames and corrections are measured again
+    reasons = [*_foreign(used, cell, table, carries=carries)]
+    if carries and not reasons:
+        reasons += unfit(calibration, cell)
+    if reasons:  # first: nothing accepts that of another cell
         raise CalibrationRefused(calibration, reasons)
     accepted = check_usable(
         calibration,
@@ -155,13 +164,13 @@ def with_calibration(
         max_age_days=math.inf,  # its age and the temperature are why it is checked
         limits=tolerance_limits(cell),
         accept_out_of_tolerance=accept_out_of_tolerance,
-        status=status,
+        status=None if carries and status and status.to_redo else status,
         accept_not_current=accept_not_current,
     )
     words = f"the calibration of {calibration.provenance.named} is used"
     if status is not None:
         words += f": {status.text}"
-        if not status.usable:
+        if not (status.usable or (carries and status.to_redo)):
             accepted.append(f"it is {status.text}")
     changed = msgspec.structs.replace(chosen, calibration=str(used.path.resolve()))
     return Chosen(msgspec.structs.replace(cell, **{table: changed}), accepted, words)
@@ -314,7 +323,10 @@ def _unproven(row: RunRow) -> CalibrationStatus:
     return CalibrationStatus("in doubt", "", f"its run {ended}")
 
 
-def _foreign(used: CalibrationFile, cell: Cell, table: str) -> Iterator[str]:
+def _foreign(used: CalibrationFile, cell: Cell, table: str, *, carries: bool) -> Iterator[str]:
+    """Yield why a calibration is of another cell; of one that ``carries`` the arm alone, why of
+    another robot.
+    """
     calibration, folder = used.calibration, used.path.parent
     made = calibration.provenance
     if made.simulated != (cell.simulation is not None):
@@ -322,7 +334,7 @@ def _foreign(used: CalibrationFile, cell: Cell, table: str) -> Iterator[str]:
         yield f"it is of {kinds[0]} cell, this is {kinds[1]} one; calibrate this cell"
     if missing := calibration.uncertainty.missing:
         yield f"it states no uncertainty to judge by: {missing}; calibrate again"
-    if cell.grid.station not in calibration.stations:
+    if not carries and cell.grid.station not in calibration.stations:
         yield f"station {cell.grid.station} is not calibrated by it"
     if made.digest == cell.digest:
         return
@@ -340,7 +352,8 @@ def _foreign(used: CalibrationFile, cell: Cell, table: str) -> Iterator[str]:
         return
     fixed = (
         "name", "serial", "robot.joint", "robot.smr_mm", "robot.more_smr_mm", "robot.status",
-        "layout.base", "layout.floor", "station", "grid.station",
+        *(("tracker.reflector",) if carries else
+          ("layout.base", "layout.floor", "station", "grid.station")),
     )  # fmt: skip
     for key in fixed:
         if attrgetter(key)(then) != attrgetter(key)(cell):

@@ -17,6 +17,7 @@ import numpy as np
 
 from hilcell.calibration.causes import zero_columns
 from hilcell.calibration.file import LostMotion
+from hilcell.calibration.known_arm import carried_calibration
 from hilcell.calibration.position_errors import block_diagonal, visit_noise
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.kinematics import Arm
@@ -35,6 +36,8 @@ COVERAGE = 2.0  # k
 
 def lost_motion(log: Log) -> LostMotion:
     """Lost motion of the axes, as measured; else 0, within the data sheet's limit."""
+    if (carried := carried_calibration(log)) is not None:
+        return carried.lost_motion
     verdict = log.once_measured(reversal)
     wrist = [WRIST_RAD] * (AXES - LARGE)
     if verdict is None:

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hilcell.calibration.frames import Frames
+from hilcell.calibration.known_arm import carried_calibration, carried_scatter
 from hilcell.cell.file import Cell
-from hilcell.geometry.frames import apply
+from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import BeamNoise, Figures, figures_of, lengths_mm
 from hilcell.journal.log import (
@@ -137,6 +138,11 @@ def visits_mm(log: Log) -> list[Array]:
 
 def visit_scatter(log: Log, R: Array) -> tuple[Array, int, int]:
     """One visit's covariance (3, 3), rotated by ``R``, and the counts of visits and places."""
+    if (carried := carried_calibration(log)) is not None:
+        noise, visits = visit_noise(log), round(carried_scatter(carried)[1])
+        points = [point for point in log.points.values() if point.commanded_deg is not None]
+        scatter_mm2 = noise.covariances(points, R).mean(axis=0)
+        return scatter_mm2, visits + 1, 1
     return pooled(visits_mm(log), R)
 
 
@@ -164,6 +170,9 @@ class VisitNoise:
 @of_measured
 def visit_noise(log: Log) -> VisitNoise:
     beam, visits = run_noise(log), repeated_visits(log)
+    if (carried := carried_calibration(log)) is not None:
+        R = (inverse(log.matrix("world")) @ log.matrix("base"))[:3, :3]
+        return VisitNoise(R @ carried_scatter(carried)[0] @ R.T, beam)
     noise_mm2 = np.array([noise_at(beam, each).mean(axis=0) for each in visits])
     return VisitNoise(scatter_besides([positions_mm(each) for each in visits], noise_mm2), beam)
 

@@ -19,6 +19,7 @@ import numpy as np
 from hilcell.calibration.causes import Differences
 from hilcell.calibration.frames import Frames, base_covariance, hold_covariance, world_covariance
 from hilcell.calibration.influence import SIZE
+from hilcell.calibration.known_arm import carried_calibration
 from hilcell.calibration.lookup import calibration_in
 from hilcell.calibration.position_errors import block_diagonal, visits_mm
 from hilcell.cell.devices import least_separation_rad
@@ -187,7 +188,7 @@ class TouchPoses:
             return np.tile(pooled_std_mm(clouds_mm) ** 2 * np.eye(3), (len(self.points), 1, 1))
         R = self.log.matrix("world")[:3, :3]
         noise_mm2 = covariances_mm2(self.points, R)
-        used = calibration_in(self.log)
+        used = calibration_in(self.log) or carried_calibration(self.log)
         if used is not None and used.uncertainty is not None:
             for line in used.uncertainty.lines:
                 if line.per_visit and line.frame == "base":

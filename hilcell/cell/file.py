@@ -104,6 +104,8 @@ class PlanTable(Frozen, frozen=True, kw_only=True):
     """The plan of `calibrate`: full, or quick, as short as the verdict allows.
 
     ``grid_orientations``: further orientations (A, B, C in {B}) in which all vertices are measured.
+    ``calibration``: where a re-calibration starts, a run or its file, or "current"; it measures
+    ``known_poses`` in place of the grid.
     """
 
     quick: bool = False
@@ -120,6 +122,8 @@ class PlanTable(Frozen, frozen=True, kw_only=True):
     unattended_wait_s: Annotated[float, Meta(ge=0, le=86_400)] = 900.0
     grid_orientations: list[tuple[Angle, Angle, Angle]] = field(default_factory=list)
     tilt_poses: Annotated[int, Meta(ge=4, le=100)] = 24
+    calibration: str = ""
+    known_poses: Annotated[int, Meta(ge=8, le=100)] = 14
 
     def samples(self, full: int, quick: int) -> int:
         return min(full, quick) if self.quick else full
@@ -129,8 +133,15 @@ class PlanTable(Frozen, frozen=True, kw_only=True):
         return self.tilt_deg > 0.0 or bool(self.grid_orientations)
 
     @property
+    def recalibrates(self) -> bool:
+        """Whether the arm is known from an earlier calibration."""
+        return bool(self.calibration)
+
+    @property
     def pose_counts(self) -> tuple[int, int]:
         """The least and the most poses that are measured besides the grid's."""
+        if self.recalibrates:
+            return self.known_poses, self.known_poses
         if self.tilt_deg:
             return self.tilt_poses, self.tilt_poses
         return (self.least_poses, max(self.least_poses, self.most_poses)) if self.quick else (0, 0)

@@ -167,7 +167,7 @@ class Kinematic(LearntModel):
         arm = _arm(measured)
         estimate, decision = _identified(arm)
         known = observability(estimate.kinematics, estimate.covariance)
-        excess = _excess(estimate)
+        excess = 1.0 if arm.known is not None else _excess(estimate)
         return cls(
             arm.robot,
             estimate.kinematics,
@@ -302,6 +302,9 @@ def _identified(measured: MeasuredArm) -> tuple[Estimate, CurvesUsed]:
     """Identification, with curves only if poses left out are predicted better. Cached: a run needs
     it for each of its results.
     """
+    if measured.known is not None:
+        reason = f"used: those of {measured.known.run}, with the arm that it identified"
+        return measured.known.followed(measured.readings).estimate, CurvesUsed(True, reason)
     arm, seats_mm = measured.robot.arm, measured.seats_mm
     assumed = Placed(2.0, 2e-3, 2.0)  # {B} from circles, the reflector as it is mounted
     if len(seats_mm) > 1:  # so little that a orientation of all is theirs and not the last link's

@@ -18,6 +18,7 @@ from hilcell.decoding import Json
 from hilcell.geometry.inverse import NominalRobot
 from hilcell.geometry.kinematics import Array, Bools, Ints
 from hilcell.identification.kinematics import TransmissionCurve
+from hilcell.identification.known_arm import KnownArm
 from hilcell.identification.measured_poses import IdentificationError, Readings, pose_folds
 from hilcell.ports import HilcellError
 
@@ -60,13 +61,15 @@ class MeasuredArm:
     """The nominal robot, positions of its reflectors at M poses, in {B}, and the gears' curves.
 
     ``seats_mm`` (K, 3): the reflectors' nominal positions on the flange, the tool point first.
-    Instances with the same numbers are equal.
+    ``known``: the arm of the calibration from which this one starts. Instances with the same
+    numbers are equal.
     """
 
     robot: NominalRobot
     readings: Readings
     seats_mm: Array
     curves: tuple[TransmissionCurve, ...] = ()
+    known: KnownArm | None = None
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, MeasuredArm) and self._content == other._content
@@ -76,7 +79,7 @@ class MeasuredArm:
 
     @cached_property
     def _content(self) -> object:
-        return _plain((self.robot, self.readings, self.seats_mm, self.curves))
+        return _plain((self.robot, self.readings, self.seats_mm, self.curves, self.known))
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from typing import Self
 
 import numpy as np
 
-from hilcell.compensation.grid import Grid
+from hilcell.compensation.grid import Grid, GridError
 from hilcell.compensation.interpolation import Idw, Trilinear, check_covariance
 from hilcell.compensation.kinematic import Kinematic
 from hilcell.compensation.model import LearntModel, Measured, Prediction
@@ -71,7 +71,7 @@ def chosen(measured: Measured, *, reoriented: bool = False) -> Choice:
     for name, model in MODELS.items():
         try:
             figures[name] = figures_of(lengths_mm(model.left_out_mm(measured)))
-        except IdentificationError as error:
+        except (IdentificationError, GridError) as error:
             refused[name] = str(error)
         if reoriented and not model.any_orientation:
             refused[name] = "predicts the error in the grid's orientation only"

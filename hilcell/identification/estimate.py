@@ -119,7 +119,7 @@ def identify(
     for _ in range(4):  # rounds of noise and outliers
         _refuse_too_many(outliers, readings)
         estimate = identify_trusted(kinematics, readings.without(outliers), state, noise)
-        more = _gross(estimate.system)
+        more = gross(estimate.system)
         if not more.any():
             break
         state, outliers = estimate.state, outliers | more
@@ -249,7 +249,7 @@ class _Misses:
         self.scale_mm = float(np.median(self.lengths_mm[self.telling] / usual))
 
 
-def _gross(system: System) -> Bools:
+def gross(system: System) -> Bools:
     """Readings (M, K) that all others contradict: single ones, or else whole poses."""
     readings, poses = system.distances()
     single: Bools = system.known & (readings > GROSS**2)

@@ -110,7 +110,8 @@ class Kinematics:
     Order of the P parameters: base (shift in mm, rotation vector about its origin), reflectors,
     links by kind and row, then, if requested, gravity, waves, tool, curves. Gears err more under
     load: with ``levers_mm`` of the first axes, their curves grow by an unknown share of the
-    relative growth of the flange's lever over these.
+    relative growth of the flange's lever over these. ``learnt``: mean (P,) and covariance (P, P)
+    of the parameters where an earlier calibration knows them.
     """
 
     arm: Arm
@@ -122,6 +123,7 @@ class Kinematics:
     curves: tuple[TransmissionCurve, ...] = ()
     levers_mm: tuple[float, ...] = ()
     assumed: Placed = Placed()
+    learnt: tuple[Array, Array] | None = None
 
     @property
     def placed(self) -> int:
@@ -190,6 +192,8 @@ class Kinematics:
         """The parameters' prior mean (P,) and covariance (P, P). Base and reflectors count from
         their assumed values.
         """
+        if self.learnt is not None:
+            return self.learnt
         length_mm, angle_rad = 1.0, 2e-3  # prior sigmas of link parameters
         links = [length_mm if kind.endswith("mm") else angle_rad for kind in KINDS]
         assumed = self.assumed

@@ -37,6 +37,9 @@ State = Literal[
 ]  # fmt: skip
 
 
+REDO = "its re-check says redo"
+
+
 @dataclass(frozen=True, slots=True)
 class CalibrationStatus:
     """``by`` is the run that superseded or revoked it, ``current`` the cell's current one; "" where
@@ -53,6 +56,11 @@ class CalibrationStatus:
     def usable(self) -> bool:
         """Whether it may be used; one whose validation does not hold is judged by its verdicts."""
         return self.state in ("current", "not validated", "undecided", "suspected")
+
+    @property
+    def to_redo(self) -> bool:
+        """Whether only a re-check is against it: its arm may still be a good prior."""
+        return self.state == "revoked" and self.reason == REDO
 
     @property
     def text(self) -> str:
@@ -224,7 +232,7 @@ class _CellRuns:
                 why = f"it is based on one {found[facts.used].text}"
                 found[row.name] = CalibrationStatus("revoked", facts.used, why)
             if facts.recheck == "redo" and row.finished and not facts.revoked:
-                redo = CalibrationStatus("revoked", row.name, "its re-check says redo")
+                redo = CalibrationStatus("revoked", row.name, REDO)
                 found.setdefault(facts.used, redo)
         return found
 

@@ -575,6 +575,15 @@ class CalibrationUsed(Event, frozen=True, kw_only=True, tag="calibration used"):
     content: Json = field(default_factory=dict)
 
 
+class ArmCarried(Event, frozen=True, kw_only=True, tag="arm carried"):
+    """The calibration whose arm a re-calibration follows: of which run, which file, its content."""
+
+    title: ClassVar[str] = "the arm is carried from"
+    run: str = ""
+    file: str = ""
+    content: Json = field(default_factory=dict)
+
+
 class CalibrationRevoked(Reasoned, frozen=True, kw_only=True, tag="calibration revoked"):
     """An operator has revoked the run's own calibration."""
 

@@ -15,6 +15,8 @@ import msgspec
 
 from hilcell.alarms.alarm import findings_of
 from hilcell.alarms.catalogue import code_of_verdict, entry_of
+from hilcell.calibration.known_arm import unfit
+from hilcell.calibration.lookup import calibration_in
 from hilcell.calibration.recheck import KIND as RECHECK
 from hilcell.calibration.recheck import RecheckResult
 from hilcell.decoding import Json, typed
@@ -155,8 +157,16 @@ def _rechecked(log: Log, folder: Path, rechecked: Rechecked) -> _Words:
             report = command_on(folder, "report", "-o", "report.html")
             commands = [report, _prepare(log, folder, folder.name)]
         case "redo":
-            commands = [_new_run(log, folder, "calibrate")]
+            commands = [*_again(log, folder), _new_run(log, folder, "calibrate")]
     return RECHECKED[rechecked.verdict], because, tuple(commands)
+
+
+def _again(log: Log, folder: Path) -> Iterator[str]:
+    """Yield the re-calibration from the calibration in use, if that knows the arm."""
+    used = calibration_in(log)
+    if used is not None and not [*unfit(used, log.cell)]:
+        words = ("--from", used.provenance.latest, *_cell(log))
+        yield command_in(folder.parent, "run", *words)
 
 
 def _figures(verdicts: Mapping[str, Verdict]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -59,6 +60,13 @@ class Order(Signature):
         "(`plan.quick=true`)",
         default=False,
     )
+    start: str = option(
+        "re-calibrate: start from the arm that this run's calibration knows, or the current one's "
+        "(`plan.calibration=RUN`)",
+        "RUN|current",
+        default="",
+        flags=("--from",),
+    )
     seed: int = option(
         "seed of random targets, and of the simulated machine without --machine-seed (default: 1)",
         "N",
@@ -94,8 +102,14 @@ class Order(Signature):
 
         if self.full and self.quick:
             raise HilcellError("--full and --quick: expected one of them")
-        plan = {"plan.quick": "true" if self.quick else "false"}
-        return dict(self.settings) | (plan if self.full or self.quick else {})
+        if self.full and self.start:
+            raise HilcellError("--full and --from: expected one of them")
+        stated = dict(self.settings)
+        if self.start:
+            stated["plan.calibration"] = json.dumps(self.start)
+        if self.full or self.quick or self.start:
+            stated["plan.quick"] = "false" if self.full else "true"
+        return stated
 
     def check(self, say: Callable[[str], object]) -> NewRun:
         """Return the run, planned; raises `HilcellError` where it must not begin.
@@ -108,6 +122,7 @@ class Order(Signature):
         from hilcell.cell.differences import check_identity
         from hilcell.cell.file import located
         from hilcell.cell.settings import SettingsError
+        from hilcell.errors import HilcellError
         from hilcell.journal.disk_space import check_space
         from hilcell.journal.runs import new_run
         from hilcell.run import run_plan
@@ -121,6 +136,12 @@ class Order(Signature):
             say(warning)
         procedure.check_attended(cell, unattended=self.attendance.unattended)
         procedure.check(cell)
+        if cell.plan.calibration and procedure.may_use != "plan":
+            raise HilcellError(
+                f"{procedure.name} starts from no calibration: --from (plan.calibration) is for "
+                "calibrate; leave it out",
+                code="HC-C10",
+            )
         accepted, machine = list[str](), self.machine_seed
         if uses := procedure.used_in(cell):
             cell, accepted, used = with_calibration(

@@ -33,6 +33,7 @@ POSES = SMALL | {
 RUNS: dict[str, tuple[str, ...]] = {
     "small": ("calibrate", "--seed", "1", "--operator", "B. Operator", *sets(SMALL)),
     "small-2": ("calibrate", "--seed", "2", *sets(SMALL)),
+    "quick": ("calibrate", "--seed", "1"),
     "sign-check": ("sign-check", "--unattended", *sets(SMALL)),
     "seats": ("calibrate", "--cell", "fixed", "--seed", "1", "--unattended", *sets(SMALL | SEATS)),
     "pose-test": ("iso9283", "--cell", "fixed", "--unattended", *sets(POSES)),

@@ -134,6 +134,7 @@ ORDINARY = {
     "changes accepted",
     "axes not swept",
     "calibration revoked",
+    "arm carried",
     "calibration used",
     "factory links",
     "notification failed",

@@ -1,0 +1,79 @@
+"""The arm of a run is carried into another: its command line, its refusals, and kills."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from campaigns.kills import killed
+from hilcell.journal.calibration_status import statuses
+from hilcell.journal.index import read_index
+from hilcell.journal.runs import CALIBRATION
+from tests.whole.bench import command, judge, ran, sets, simulation
+from tests.whole.golden import GoldenRuns
+
+pytestmark = pytest.mark.waits
+
+
+def refusal(runs: Path, *words: str | Path) -> str:
+    done = command("run", *words, "--runs", runs, "--dry-run")
+    assert done.returncode == 2, done.stdout
+    return " ".join(done.stderr.split())
+
+
+def test_what_it_cannot_start_from_is_refused(golden: GoldenRuns, tmp_path: Path) -> None:
+    small, quick = golden["small"].copied_to(tmp_path), golden["quick"].copied_to(tmp_path)
+    assert "no curves of the gears (axis sweeps)" in refusal(tmp_path, "--from", small)
+    assert "--full and --from: expected one of them" in refusal(tmp_path, "--from", quick, "--full")
+    assert "--from (plan.calibration) is for calibrate" in refusal(
+        tmp_path, "robot-grid", "--from", quick
+    )
+    assert "'nowhere' not found" in refusal(tmp_path, "--from", "nowhere")
+    assert "name differs" in refusal(tmp_path, "--from", quick, "--cell", "hard")
+    other = sets({"serial": "HC-2"})
+    assert "serial differs" in refusal(tmp_path, "--from", quick, *other)
+    tool = sets({"robot.smr_mm": "[99.0, 0.0, 127.0]"})
+    assert "robot.smr_mm differs" in refusal(tmp_path, "--from", quick, *tool)
+    assert "of simulated machine 1" in refusal(tmp_path, "--from", quick, "--machine-seed", "2")
+    file = quick / CALIBRATION
+    whole = file.read_text()
+    file.write_text(whole.replace('"sign_checked": true', '"sign_checked": false', 1))
+    assert "its seal does not hold" in refusal(tmp_path, "--from", quick)
+    content = json.loads(whole)
+    file.write_text(json.dumps(content | {"schema": content["schema"] - 1}))
+    assert "calibrate again" in refusal(tmp_path, "--from", quick)
+    file.unlink()
+    assert "wrote no calibration" in refusal(tmp_path, "--from", quick)
+
+
+@pytest.mark.process
+def test_killed_and_resumed_it_becomes_current(golden: GoldenRuns, tmp_path: Path) -> None:
+    quick = golden["quick"].copied_to(tmp_path)
+    with simulation() as cell:
+        words = ("calibrate", "--from", "current", "--seed", "2")
+        words = (*words, *sets({"simulation.address": cell.control}))
+        found = killed(tmp_path, words, [40, 120, 260], later_s=iter([0.0] * 3))
+    end = found.journal[-1]
+    assert (end["kind"], end["exit"]) == ("end", 0)
+    assert end["result"]["known_arm"]["calibration"] == quick.name
+    assert judge(found.journal) == []
+    assert len(found.acknowledged) == len(set(found.acknowledged))
+    (run,) = {row.name for row in read_index(tmp_path)} - {quick.name}
+    assert statuses(read_index(tmp_path))[run].state == "current"
+
+
+def test_a_redo_leads_to_it(golden: GoldenRuns, tmp_path: Path) -> None:
+    """The calibration is revoked by then; its arm is a prior all the same."""
+    quick = golden["quick"].copied_to(tmp_path)
+    with simulation() as cell:
+        cell.strike("robot.lost_zero_2", 0.06)
+        values = {"simulation.address": cell.control}
+        checked = ran(tmp_path, "recheck", values, name="R")
+        assert checked.result["recheck"]["verdict"] == "redo"
+        last = checked.done.stderr.splitlines()[-1]
+        assert f"hilcell run --from {quick.name}" in last
+        done = ran(tmp_path, "calibrate", values, "--from", quick.name, "--seed", "3", name="C")
+    assert "zero of axis 2" in done.result["known_arm"]["changed"]
+    assert done.done.returncode in (0, 1), done.done.stderr
