@@ -19,7 +19,15 @@ from hilcell.compensation.targets import as_listed, write_rows
 from hilcell.errors import bounded
 from hilcell.fit.columns import read_names
 from hilcell.fit.measurements import Measurements, read_measurements
-from hilcell.fit.methods import FitResult, FittedArm, RobotFit, fit_robot, in_mm, methods_table
+from hilcell.fit.methods import (
+    FitResult,
+    FittedArm,
+    Outlier,
+    RobotFit,
+    fit_robot,
+    in_mm,
+    methods_table,
+)
 from hilcell.fit.robot_file import Robot
 from hilcell.fit.urdf_file import URDF, read_robot
 from hilcell.geometry.statistics import LEAST_BOUNDED
@@ -255,13 +263,9 @@ def _print_fit(result: FitResult) -> None:
     for reason in sorted(set(result["refused"].values())):
         names = [name for name, why in result["refused"].items() if why == reason]
         print_message(f"left out: {', '.join(names)}: {reason}")
-    outliers = (
-        f"outlier: pose {bad['pose']} target {bad['target']} is off by {bad['miss_mm']:.4g} mm and "
-        "excluded"
-        for bad in result["outliers"]
-    )
-    for line in bounded(outliers):
-        print_message(line)
+    for what, rows in (("excluded", result["outliers"]), ("judged", result["test_outliers"])):
+        for line in bounded(_outlier(row, what) for row in rows):
+            print_message(line)
     undetermined = (
         f"undetermined: pose {row['pose']} target {row['target']} has a 95 % bound of "
         f"{row['bound_mm']:.4g} mm, over {result['undetermined_mm']:.3g} mm, and is not judged"
@@ -277,6 +281,13 @@ def _print_fit(result: FitResult) -> None:
         print_message(
             f"no 95 % bound: {result['train']} training rows, expected at least {LEAST_BOUNDED}"
         )
+
+
+def _outlier(row: Outlier, what: str) -> str:
+    named = "outlier" if what == "excluded" else "outlier of the test rows"
+    anchor = f" anchor {row['anchor']}" if row["anchor"] else ""
+    at = f"pose {row['pose']} target {row['target']}{anchor}"
+    return f"{named}: {at} is off by {row['miss_mm']:.4g} mm and {what}"
 
 
 def _read(path: Path, columns: Mapping[str, str], robot: Robot) -> Measurements:

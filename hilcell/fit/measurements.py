@@ -6,9 +6,9 @@ Measurements need commanded joints: those read back from a moving robot spoil a 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple, Self
 
@@ -22,7 +22,7 @@ from hilcell.fit.robot_file import Robot
 from hilcell.fit.tables import read_table
 from hilcell.geometry.frames import cross_matrix, from_rotvec, from_zyx, unit
 from hilcell.geometry.kinematics import Array
-from hilcell.identification.measured_poses import count_poses
+from hilcell.identification.measured_poses import SAME_RAD, count_poses
 from hilcell.sanitize import counted
 
 REFLECTOR, ANCHOR = "SMR", "anchor"  # of lists that name none
@@ -35,10 +35,12 @@ class Measurements:
     Values of prismatic joints are m. Messages name the rows by ``source``, a file, and by their
     ``lines`` (N) in it. ``covariance_mm2`` (N, 3, 3): of the positions, where known; ``R``
     (N, 3, 3): orientations of the measured body in the tracker's frame, NaN where not measured, and
-    ``u_rad`` (N,) their standard uncertainties, where known.
+    ``u_rad`` (N,) their standard uncertainties, where known; ``turns`` (N, 3 or 4) the columns that
+    they were read of, in rad.
 
     Of distances, ``distance_mm`` (N,) from fixed points named by ``anchor`` (N), positions are NaN
-    until `hilcell.fit.ranges.located`; then they are known ``along`` (N, 3) alone, unit vectors.
+    until `hilcell.fit.ranges.Anchors` locates them; then they are known ``along`` (N, 3) alone,
+    unit vectors.
     """
 
     pose: list[str]
@@ -53,6 +55,7 @@ class Measurements:
     anchor: Sequence[str] = ()
     distance_mm: Array | None = None
     along: Array | None = None
+    turns: Array | None = None
 
     @classmethod
     def from_arrays(
@@ -131,7 +134,16 @@ class Measurements:
             [self.anchor[n] for n in chosen] if self.anchor else (),
             taken(self.distance_mm),
             taken(self.along),
+            taken(self.turns),
         )
+
+    def within_turns(self, middles_rad: Array) -> Measurements:
+        """The rows with joints at most half a turn from the middles (n,), where these are not NaN:
+        an arm, and the errors of its gears, repeat each turn.
+        """
+        turn = 2.0 * np.pi
+        turns = np.nan_to_num(np.round((self.joints_rad - middles_rad) / turn))
+        return replace(self, joints_rad=self.joints_rad - turn * turns)
 
     def seen_mm(self, missed_mm: Array) -> Array:
         """The part of misses (N, 3) that the rows show: of distances, along them."""
@@ -207,8 +219,27 @@ def read_measurements(
         raise SettingsError(str(path), problems)
     rows = _measurements(found, layout, str(path))
     if say is not None:
-        say(f"{path}: {f'{sheet}: ' if sheet else ''}{rows.counted}; {layout.understood()}")
+        blank = len(text.rows) - 1 - len({row.line for row in found})
+        unseen = f" ({counted(blank, 'line')} without a measurement)" if blank else ""
+        sheet = f"{sheet}: " if sheet else ""
+        say(f"{path}: {sheet}{rows.counted}{unseen}; {layout.understood()}")
+        for warning in _reused(rows):
+            say(warning)
     return rows
+
+
+def _reused(rows: Measurements) -> Iterator[str]:
+    """Yield a warning where labels of poses are of several joints."""
+    joints = dict[str, Array]()
+    for n, pose in enumerate(rows.pose):
+        first = joints.setdefault(pose, rows.joints_rad[n])
+        if not np.abs(rows.joints_rad[n] - first).max() <= SAME_RAD:
+            where = rows.where([n])
+            yield (
+                f"warning: {where}: pose {pose} has other joints than before; rows of equal joints "
+                "are a pose, whatever its label"
+            )
+            return
 
 
 class _Row(NamedTuple):
@@ -319,7 +350,7 @@ class _Values:
 
 
 def _measurements(rows: list[_Row], columns: Columns, source: str) -> Measurements:
-    u_mm, R = np.array([row.u_mm for row in rows]), None
+    u_mm, R, turns = np.array([row.u_mm for row in rows]), None, None
     measured_mm, of_range = np.array([row.measured_mm for row in rows]), "distance" in columns.own
     first: dict[tuple[float, ...], int] = {}
     if columns.orientation:
@@ -338,6 +369,7 @@ def _measurements(rows: list[_Row], columns: Columns, source: str) -> Measuremen
         u_rad=np.array([row.u_rad for row in rows]) if "u_turn" in columns.own else None,
         anchor=[row.anchor for row in rows] if of_range else (),
         distance_mm=measured_mm[:, 0] if of_range else None,
+        turns=turns,
     )
 
 

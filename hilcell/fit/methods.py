@@ -21,9 +21,9 @@ from hilcell.compensation.interpolation import Idw
 from hilcell.compensation.model import LearntModel, Measured, StaticPoses
 from hilcell.compensation.model_choice import MODELS, NOMINAL, choose, listed
 from hilcell.fit.measurements import Measurements
-from hilcell.fit.orientations import mounted, points_of, scatter_rad
+from hilcell.fit.orientations import mounted, points_of, refuse_misread, scatter_rad
 from hilcell.fit.placement import FitError, Placement, place, place_roughly, refuse_unknown_targets
-from hilcell.fit.ranges import located
+from hilcell.fit.ranges import Anchors
 from hilcell.fit.refusals import (
     no_positions,
     rare_target,
@@ -33,18 +33,20 @@ from hilcell.fit.refusals import (
     refuse_gross,
     refuse_many,
     refuse_mistaken,
+    refuse_mistaken_test,
     refuse_unidentified,
     refuse_unplaced,
     undetermined,
 )
 from hilcell.fit.repeats import averaged
 from hilcell.fit.robot_file import Robot
-from hilcell.fit.suppositions import explaining, of_test, of_training
+from hilcell.fit.suppositions import Misses, explaining, of_test, of_training
 from hilcell.geometry import statistics
 from hilcell.geometry.frames import FrameError
 from hilcell.geometry.kinematics import Arm, Array, Bools, Ints
 from hilcell.geometry.statistics import Figures
 from hilcell.identification.estimate import (
+    GROSS,
     LEAST_POSES,
     Estimate,
     identify,
@@ -57,11 +59,13 @@ from hilcell.identification.kinematics import Kinematics, Placed
 from hilcell.identification.measured_poses import (
     FOLDS,
     IdentificationError,
+    ManyContradict,
     Noise,
     Readings,
     count_poses,
     places_of,
     pose_folds,
+    turn_middles,
 )
 from hilcell.present.table import Column, Table
 from hilcell.sanitize import counted
@@ -77,10 +81,14 @@ TERMS: Mapping[str, tuple[bool, bool]] = {  # elastic joints, a tool's weight
 
 
 class Outlier(TypedDict):
-    """A training row that contradicts the others, and its distance from their prediction."""
+    """A row that contradicts the training rows, and its distance from their prediction.
+
+    ``anchor``: of a distance, else "".
+    """
 
     pose: str
     target: str
+    anchor: str
     miss_mm: float
 
 
@@ -153,8 +161,9 @@ class FitResult(TypedDict):
     ``test`` those judged: kept training rows, or determined test rows.
 
     ``methods``: distances of predicted from measured positions; ``refused``: why others could not
-    learn; ``coverage``: of methods with bounds, empty without test rows; ``coverage95``: that of
-    the chosen method, or None; ``model``: None where no robot was identified.
+    learn; ``test_outliers``: judged test rows far beyond their bounds; ``coverage``: of methods
+    with bounds, empty without test rows; ``coverage95``: that of the chosen method, or None;
+    ``model``: None where no robot was identified.
     """
 
     methods: dict[str, dict[str, float]]
@@ -162,6 +171,7 @@ class FitResult(TypedDict):
     reason: str
     refused: dict[str, str]
     outliers: list[Outlier]
+    test_outliers: list[Outlier]
     coverage: dict[str, Coverage]
     coverage95: float | None
     model: IdentifiedModel | None
@@ -254,12 +264,14 @@ class Poses:
 class FittedArm:
     """An identified robot and the rows that it was learnt from.
 
-    ``doubt``: factor of the standard deviations that it understates.
+    ``middles_rad`` (n,): of the turns of its joints; ``doubt``: factor of the standard deviations
+    that it understates.
     """
 
     estimate: Estimate
     poses: Poses
     targets: list[str]
+    middles_rad: Array
     joint_errors: WithJointErrors | None = None
     doubt: float = 1.0
 
@@ -304,8 +316,9 @@ class FittedArm:
         start = kinematics.start(np.eye(4) if ranges else T, smr_mm)
         by = identify_trusted if trusted else identify
         noise = Noise.of_poses(len(targets), len(placement.arm))
-        poses = Poses.of(rows, names)
-        return cls(by(kinematics, poses.readings, start, noise), poses, targets)
+        middles_rad = turn_middles(rows.joints_rad, placement.arm.turning != 0.0)
+        poses = Poses.of(rows.within_turns(middles_rad), names)
+        return cls(by(kinematics, poses.readings, start, noise), poses, targets, middles_rad)
 
     @property
     def missed_mm(self) -> Array:
@@ -330,7 +343,7 @@ class FittedArm:
 
     def predict(self, rows: Measurements) -> tuple[Array, Array]:
         """Positions (N, 3) in the tracker's frame, and covariances (N, 3, 3) of readings there."""
-        poses = Poses.of(rows, self.targets)
+        poses = Poses.of(rows.within_turns(self.middles_rad), self.targets)
         at_mm, covariance_mm2 = self.found.predict(poses.readings.joints_rad)
         return poses.by_row(at_mm), self.doubt**2 * poses.by_row(covariance_mm2)
 
@@ -428,12 +441,17 @@ def fit_robot(robot: Robot, train: Measurements, test: Measurements | None = Non
     start_s = time.perf_counter()
     arm = robot.arm
     refuse_few_poses(train)
-    train, test = located(arm, train, test)
-    placement = _placed(arm, train)
+    middles_rad = turn_middles(train.joints_rad, arm.turning != 0.0)
+    train = train.within_turns(middles_rad)
+    test = None if test is None else test.within_turns(middles_rad)
+    anchors = _anchored(robot, train, test)
+    if anchors is not None:
+        train, test = anchors.located(train), None if test is None else anchors.located(test)
+    placement = _placed(robot, train)
     train = averaged(placement, train)
     order = _order(train)
     rows = train.at(order)
-    bad, refused = _contradicting(placement, train, order)
+    bad, refused = _contradicting(robot, placement, train, order, anchors)
     kept = rows.at(np.flatnonzero(~bad))
     refuse_few_poses(kept, int(bad.sum()))
     placement, elsewhere = place(arm, kept), _elsewhere(kept)
@@ -456,11 +474,14 @@ def fit_robot(robot: Robot, train: Measurements, test: Measurements | None = Non
     judged, coverage, reason = validated, dict[str, Coverage](), ""
     best = min(arms, key=lambda name: validated[name].mean, default=None)
     limit_mm = _limit_mm(validated[NOMINAL], arms.get(best or ""))
-    unknown: list[Undetermined] = []
+    unknown, far = list[Undetermined](), list[Outlier]()
     if test is not None:
-        judged, coverage, unknown = _tested(arm, methods, test, best, chosen, limit_mm)
+        judged, coverage, unknown, far = _tested(
+            robot, methods, test, best, chosen, limit_mm, anchors
+        )
         if reason := worse_than_nominal(chosen, judged):
             chosen = NOMINAL
+    struck = train.at(sorted(order[bad]))
     why = "least mean and p95 of misses at training poses left out"
     if chosen == NOMINAL:
         why = "no method beats nominal positions at poses left out"
@@ -469,7 +490,8 @@ def fit_robot(robot: Robot, train: Measurements, test: Measurements | None = Non
         "chosen": chosen,
         "reason": reason or f"{why}: {listed(validated, WEIGHTS)}",
         "refused": refused,
-        "outliers": _outliers(methods[best or NOMINAL], train.at(sorted(order[bad]))),
+        "outliers": _outliers(struck, _missed_mm(methods[best or NOMINAL], struck)),
+        "test_outliers": far,
         "coverage": coverage,
         "coverage95": coverage[chosen]["share"] if chosen in coverage else None,
         "model": None if best is None else arms[best].identified(best),
@@ -483,15 +505,32 @@ def fit_robot(robot: Robot, train: Measurements, test: Measurements | None = Non
     return RobotFit(robot, train, result, methods, validated)
 
 
-def _placed(arm: Arm, train: Measurements) -> Placement:
+def _anchored(robot: Robot, train: Measurements, test: Measurements | None) -> Anchors | None:
+    """The anchors of distances; raises `FitError`, naming the mistake in rows that define none."""
+    if test is not None and (train.distance_mm is None) != (test.distance_mm is None):
+        raise FitError(
+            f"{test.source}: expected the training rows' kind, positions or distances, in both"
+        )
+    if train.distance_mm is None:
+        return None
+    try:
+        return Anchors.of(robot.arm, train)
+    except FitError as error:
+        refuse_unplaced(train, error, _supposed(robot, train))
+
+
+def _supposed(robot: Robot, train: Measurements) -> str:
+    """Which mistake explains rows that no robot explains."""
+    every, far_mm = np.arange(len(train)), np.full(len(train), np.inf)
+    return explaining(robot.arm, train, far_mm, every, of_training(robot, train), _learnt)
+
+
+def _placed(robot: Robot, train: Measurements) -> Placement:
     """Base and reflectors; raises `FitError`, naming the mistake in rows that define none."""
     try:
-        return place(arm, train)
+        return place(robot.arm, train)
     except (FrameError, FitError) as error:
-        every, misses = np.arange(len(train)), partial(_misses_mm, arm)
-        far_mm = np.full(len(train), np.inf)
-        supposed = of_training(arm, train)
-        refuse_unplaced(error, explaining(train, far_mm, every, supposed, misses))
+        refuse_unplaced(train, error, _supposed(robot, train))
 
 
 def scattered() -> dict[str, type[LearntModel]]:
@@ -566,14 +605,15 @@ def methods_table(methods: Mapping[str, Mapping[str, float]]) -> Table:
 
 
 def _contradicting(
-    placement: Placement, train: Measurements, order: Ints
+    robot: Robot, placement: Placement, train: Measurements, order: Ints, anchors: Anchors | None
 ) -> tuple[Bools, dict[str, str]]:
     """Which rows (N,), in an order, contradict the others, and why no robot is identified."""
-    arm, rows = placement.arm, train.at(order)
+    rows = train.at(order)
 
     def mistake(bad: Ints) -> str:  # in the file's order: it may name a shift in it
-        supposed = of_training(arm, train)
-        return explaining(train, miss_mm, bad, supposed, partial(_misses_mm, arm))
+        supposed = of_training(robot, train)
+        learn = _learnt if anchors is None else lambda *_: anchors.misses
+        return explaining(robot.arm, train, miss_mm, bad, supposed, learn)
 
     back = np.argsort(order)
     miss_mm = nominal_mm = placement.miss_mm(train)
@@ -582,30 +622,48 @@ def _contradicting(
     except IdentificationError as error:
         refuse_another_robot(train, nominal_mm, mistake)
         refuse_gross(train, nominal_mm, mistake)
+        refuse_misread(placement, train)
+        if isinstance(error, ManyContradict):
+            miss_mm = _learnt(robot.arm, train)(train)
+            refuse_many(train, miss_mm > GROSS * np.median(miss_mm), miss_mm, mistake)
         refuse_unidentified(train, nominal_mm, error, mistake)
         return np.zeros(len(rows), dtype=np.bool_), dict.fromkeys((*TERMS, RESIDUAL), str(error))
     miss_mm = statistics.lengths_mm(rows.seen_mm(rows.xyz_mm - found.predict(rows)[0]))[back]
     bad = found.outliers[back]
+    refuse_misread(placement, train)
     refuse_gross(train, np.where(bad, miss_mm, 0.0), mistake)
     refuse_many(train, bad, miss_mm, mistake)
     refuse_mistaken(train, bad, miss_mm, found.estimate, mistake)
     return found.outliers, {}
 
 
-def _misses_mm(arm: Arm, rows: Measurements) -> Array:
-    """Distances (N,) of rows from a robot identified of them, or else from nominal positions."""
+def _learnt(arm: Arm, rows: Measurements) -> Misses:
+    """How far rows are from a robot identified of some, or else from nominal positions."""
+    if rows.distance_mm is not None:
+        return Anchors.roughly(arm, rows).misses
     placement = place_roughly(arm, rows)
-    nominal_mm, no_robot_mm = placement.miss_mm(rows), 30.0
-    few = count_poses(rows.joints_rad) < LEAST_POSES
-    if few or not np.median(nominal_mm) <= no_robot_mm:
-        return nominal_mm
+    few, no_robot_mm = count_poses(rows.joints_rad) < LEAST_POSES, 30.0
+    if few or not np.median(placement.miss_mm(rows)) <= no_robot_mm:
+        return placement.miss_mm
     targets = sorted(placement.smr_mm)
     kinematics = Kinematics(arm, len(targets), gravity=False, waves=False)
-    poses = Poses.of(rows, targets)
+    readings = Poses.of(rows, targets).readings
     smr_mm = np.array([placement.smr_mm[target] for target in targets])
-    state, _ = robust(kinematics, poses.readings, kinematics.start(placement.T_L_B, smr_mm))
-    at_mm = kinematics.positions_mm(state, poses.readings.joints_rad)
-    return statistics.lengths_mm(rows.seen_mm(rows.xyz_mm - poses.by_row(at_mm)))
+    state, _ = robust(kinematics, readings, kinematics.start(placement.T_L_B, smr_mm))
+
+    def misses(asked: Measurements) -> Array:
+        poses = Poses.of(asked, targets)
+        at_mm = poses.by_row(kinematics.positions_mm(state, poses.readings.joints_rad))
+        return statistics.lengths_mm(asked.seen_mm(asked.xyz_mm - at_mm))
+
+    return misses
+
+
+def _missed_mm(method: Method, rows: Measurements) -> Array:
+    """Distances (N,) of rows from a method's predictions."""
+    if not len(rows):
+        return np.zeros(0)
+    return statistics.lengths_mm(rows.seen_mm(rows.xyz_mm - method.predict(rows)[0]))
 
 
 def _limit_mm(nominal: Figures, arm: FittedArm | None) -> float:
@@ -618,14 +676,15 @@ def _limit_mm(nominal: Figures, arm: FittedArm | None) -> float:
 
 
 def _tested(
-    arm: Arm,
+    robot: Robot,
     methods: Mapping[str, Method],
     test: Measurements,
     best: str | None,
     chosen: str,
     limit_mm: float,
-) -> tuple[dict[str, Figures], dict[str, Coverage], list[Undetermined]]:
-    """Figures and coverage of the determined test rows by method, and the other rows."""
+    anchors: Anchors | None,
+) -> tuple[dict[str, Figures], dict[str, Coverage], list[Undetermined], list[Outlier]]:
+    """Figures and coverage of the determined test rows by method, the other rows, and outliers."""
     predicted = {name: Predicted.by(method, test) for name, method in methods.items()}
     method = methods[best or NOMINAL]
     if not np.isfinite(method.doubt):
@@ -634,19 +693,17 @@ def _tested(
     rigid = replace(method, joint_errors=None) if isinstance(method, FittedArm) else method
 
     def mistake(bad: Ints) -> str:
-        supposed = of_test(arm, test, by_best.xyz_mm)
-        return explaining(
-            test,
-            miss_mm,
-            bad,
-            supposed,
-            lambda rows: statistics.lengths_mm(rows.seen_mm(rows.xyz_mm - rigid.predict(rows)[0])),
-        )
+        supposed = of_test(robot, test, by_best.xyz_mm)
+        misses = anchors.misses if anchors is not None else partial(_missed_mm, rigid)
+        return explaining(robot.arm, test, miss_mm, bad, supposed, lambda *_: misses)
 
     miss_mm = statistics.lengths_mm(test.seen_mm(test.xyz_mm - by_best.xyz_mm))
     refuse_gross(test, np.where(miss_mm <= by_best.bound95_mm, 0.0, miss_mm), mistake)
     unknown = undetermined(test, by_best.bound95_mm, limit_mm if best else np.inf)
     known = np.setdiff1d(np.arange(len(test)), unknown)
+    beyond = 3.0  # bounds, 8 standard deviations
+    far = known[~(miss_mm[known] <= beyond * by_best.bound95_mm[known])]
+    refuse_mistaken_test(test, far, miss_mm, mistake)
     figures, coverage = {}, {}
     for name, each in predicted.items():
         left_mm = statistics.lengths_mm(test.seen_mm(test.xyz_mm - each.xyz_mm))[known]
@@ -664,7 +721,7 @@ def _tested(
         )
         for n in unknown
     ]
-    return figures, coverage, named
+    return figures, coverage, named, _outliers(test.at(far), miss_mm[far])
 
 
 def worse_than_nominal(chosen: str, judged: Mapping[str, Figures]) -> str:
@@ -678,13 +735,11 @@ def worse_than_nominal(chosen: str, judged: Mapping[str, Figures]) -> str:
     )
 
 
-def _outliers(method: Method, left_out: Measurements) -> list[Outlier]:
-    if not len(left_out):
-        return []
-    miss_mm = statistics.lengths_mm(left_out.seen_mm(left_out.xyz_mm - method.predict(left_out)[0]))
+def _outliers(rows: Measurements, miss_mm: Array) -> list[Outlier]:
+    anchors = rows.anchor or [""] * len(rows)
     return [
-        Outlier(pose=pose, target=target, miss_mm=float(miss))
-        for pose, target, miss in zip(left_out.pose, left_out.target, miss_mm, strict=True)
+        Outlier(pose=pose, target=target, anchor=anchor, miss_mm=float(miss))
+        for pose, target, anchor, miss in zip(rows.pose, rows.target, anchors, miss_mm, strict=True)
     ]
 
 

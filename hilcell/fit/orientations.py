@@ -7,13 +7,14 @@ on the flange is unknown, as reflectors are.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from hilcell.fit.measurements import Measurements
-from hilcell.fit.placement import Placement
-from hilcell.geometry.frames import apply_each, inverse
+from hilcell.fit.measurements import Measurements, rotations
+from hilcell.fit.placement import FitError, Placement
+from hilcell.geometry.frames import apply_each, from_rotvec, inverse
 from hilcell.geometry.kinematics import Array, forward
 
 _LEVER_MM = 10_000.0
@@ -55,11 +56,68 @@ def mounted(placement: Placement, rows: Measurements) -> tuple[Measurements, dic
     points = points_of(rows, 1.0)
     if not len(points):
         return points, {}
+    places_mm, missed_mm = _on_the_flange(placement, points)
+    return points_of(rows, scatter_rad(missed_mm)), places_mm
+
+
+def _on_the_flange(placement: Placement, points: Measurements) -> tuple[dict[str, Array], Array]:
+    """Where points are on the nominal flange (3,), and how far each is from there (N, 3)."""
     flange = placement.T_L_B @ forward(placement.arm, points.joints_rad)
     at_mm = apply_each(inverse(flange), points.xyz_mm)
     places_mm = {each: np.median(at_mm[points.of(each)], axis=0) for each in set(points.target)}
-    missed_mm = at_mm - np.array([places_mm[each] for each in points.target])
-    return points_of(rows, scatter_rad(missed_mm)), places_mm
+    return places_mm, at_mm - np.array([places_mm[each] for each in points.target])
+
+
+def refuse_misread(placement: Placement, rows: Measurements) -> None:
+    """Refuse orientations that fit nominal ones clearly better if they are read otherwise, and
+    those that are not the flange's at all.
+    """
+    least, clearly, most_rad = 8, 3.0, np.radians(10.0)  # no arm errs so
+    count = len(points_of(rows, 1.0)) // 2
+    if rows.R is None or count < least:
+        return
+
+    def scatter(R: Array) -> float:
+        points = points_of(replace(rows, R=R, u_rad=None), 1.0)
+        return scatter_rad(_on_the_flange(placement, points)[1])
+
+    read_rad = scatter(rows.R)
+    others = {says: scatter(R) for says, R in _readings(rows.R, rows.turns)}
+    best = min(others, key=lambda says: others[says])
+    found = f"{rows.source}: orientations differ by {np.degrees(read_rad):.3g} deg from the robot's"
+    if clearly * others[best] < read_rad:
+        raise FitError(f"{found}; they fit if they are {best}: correct the columns")
+    if not read_rad <= most_rad:
+        raise FitError(
+            f"{found}, expected <= {np.degrees(most_rad):.3g} deg; correct their columns or ignore "
+            "them (no unit, order of angles, or inverse fits)"
+        )
+
+
+def _readings(R: Array, turns: Array | None) -> Iterator[tuple[str, Array]]:
+    """Other rotations (N, 3, 3) that columns (N, 3 or 4), read in rad, may mean."""
+    inverted = ", of the tracker in the body's frame"
+    yield f"as read{inverted}", np.swapaxes(R, 1, 2)
+    quaternion = 4
+    readings = list[tuple[str, Array]]()
+    if turns is not None and turns.shape[1] == quaternion:
+        others = rotations("quaternion", turns[:, [3, 0, 1, 2]])
+        readings = [("in the order qx, qy, qz, qw", others)]
+    elif turns is not None:
+        for unit, factor in (("", 1.0), (" in deg", np.radians(1.0)), (" in rad", np.degrees(1.0))):
+            v = factor * turns
+            x, y, z = (from_rotvec(v[:, [n]] * axis) for n, axis in enumerate(np.eye(3)))
+            x3, z1 = (from_rotvec(v[:, [n]] * axis) for n, axis in ((2, [1, 0, 0]), (0, [0, 0, 1])))
+            readings += [
+                (f"rotation vectors{unit}", from_rotvec(v)),
+                (f"Rz(a) Ry(b) Rx(c), columns a, b, c{unit}", z1 @ y @ x3),
+                (f"Rz(yaw) Ry(pitch) Rx(roll), columns roll, pitch, yaw{unit}", z @ y @ x),
+                (f"Rx Ry Rz of the columns in order{unit}", x @ y @ z),
+                (f"Rz Ry Rz of the columns in order{unit}", z1 @ y @ z),
+            ]
+    for says, other in readings:
+        yield says, other
+        yield f"{says}{inverted}", np.swapaxes(other, 1, 2)
 
 
 def scatter_rad(missed_mm: Array) -> float:

@@ -26,7 +26,7 @@ from hilcell.sanitize import counted
 
 ITERATIONS = 100
 ABSURD_MM = 20.0  # a miss beyond this is no robot's error, and no slip of a reading
-CHECK_ROBOT = "check the robot file, joint signs and units, and that the rows are of this robot"
+CHECK_ROBOT = "check the robot file, and that the rows are of this robot"
 CONVERGED, ROUNDING = 1e-9, 1e-12
 BAD_ROW_MM = 1.0  # rows that miss by more count less (soft L1), so one bad row moves nothing
 
@@ -126,7 +126,8 @@ def _first(flange: Array, rows: Measurements) -> tuple[Array, Array]:
         for smr_mm in lever_mm * np.concatenate([np.eye(3), -np.eye(3)]):
             with suppress(FrameError):
                 return _rigid(apply_each(flange, smr_mm), rows.xyz_mm, names), smr_mm
-        return _along_a_line(flange[:, :3, 3], rows), np.zeros(3)
+        own = rows.of(rows.target[0])  # other reflectors are beside its line
+        return _along_a_line(flange[own, :3, 3], rows.at(own)), np.zeros(3)
 
 
 def _rigid(a_mm: Array, b_mm: Array, names: tuple[str, str]) -> Array:

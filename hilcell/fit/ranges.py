@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hilcell.fit.measurements import Measurements
-from hilcell.fit.placement import ABSURD_MM, CHECK_ROBOT, FitError, refuse_unknown_targets
+from hilcell.fit.placement import ABSURD_MM, FitError, refuse_unknown_targets
 from hilcell.geometry.frames import apply_each, unit
 from hilcell.geometry.kinematics import Arm, Array, Ints, forward
 from hilcell.identification.kinematics import BASE, Kinematics
@@ -20,22 +20,8 @@ from hilcell.identification.kinematics import BASE, Kinematics
 ACROSS_MM = 1000.0  # standard uncertainty of a position across its distance
 
 
-def located(
-    arm: Arm, train: Measurements, test: Measurements | None
-) -> tuple[Measurements, Measurements | None]:
-    """The rows, of distances with positions; raises `FitError`."""
-    if test is not None and (train.distance_mm is None) != (test.distance_mm is None):
-        raise FitError(
-            f"{test.source}: expected the training rows' kind, positions or distances, in both"
-        )
-    if train.distance_mm is None:
-        return train, test
-    anchors = _Anchors.of(arm, train)
-    return anchors.located(train), None if test is None else anchors.located(test)
-
-
 @dataclass(frozen=True, eq=False)
-class _Anchors:
+class Anchors:
     """The parameters ``x``: anchors by name, reflectors by target, and links."""
 
     kinematics: Kinematics
@@ -44,24 +30,37 @@ class _Anchors:
     x: Array
 
     @classmethod
-    def of(cls, arm: Arm, rows: Measurements) -> _Anchors:
+    def of(cls, arm: Arm, rows: Measurements) -> Anchors:
         """The most probable parameters of distances; raises `FitError`."""
-        targets, names = sorted(set(rows.target)), sorted(set(rows.anchor))
-        kinematics = Kinematics(arm, len(targets), gravity=False, waves=False)
-        placed = 3 * (len(names) + len(targets))
-        starts = [cls(kinematics, targets, names, x) for x in _starts(arm, rows, names, targets)]
-        nominal = [each.improved(rows, placed) for each in starts]
+        nominal = [each.placed(rows) for each in cls._starts(arm, rows)]
         found = min(nominal, key=lambda each: each.half_mm(rows))
         half_mm = found.half_mm(rows)
         if not half_mm <= ABSURD_MM:
             raise FitError(
                 f"{rows.source}: nominal kinematics miss half of the distances by {half_mm:.4g} mm "
-                f"or more, expected <= {ABSURD_MM:g} mm: {CHECK_ROBOT}"
+                f"or more, expected <= {ABSURD_MM:g} mm"
             )
         found = found.improved(rows)
         gross = 12.0  # half misses, 8 standard deviations: such rows bend the anchors
-        agreeing = np.abs(found.missed_mm(rows)) <= gross * found.half_mm(rows)
+        agreeing = found.misses(rows) <= gross * found.half_mm(rows)
         return found.improved(rows.at(np.flatnonzero(agreeing)))
+
+    @classmethod
+    def roughly(cls, arm: Arm, rows: Measurements) -> Anchors:
+        """The same from one start, by which a supposition is judged."""
+        first = min(cls._starts(arm, rows), key=lambda each: each.half_mm(rows))
+        found = first.placed(rows)
+        return found.improved(rows) if found.half_mm(rows) <= ABSURD_MM else found
+
+    @classmethod
+    def _starts(cls, arm: Arm, rows: Measurements) -> list[Anchors]:
+        targets, names = sorted(set(rows.target)), sorted(set(rows.anchor))
+        kinematics = Kinematics(arm, len(targets), gravity=False, waves=False)
+        return [cls(kinematics, targets, names, x) for x in _starts(arm, rows, names, targets)]
+
+    def placed(self, rows: Measurements) -> Anchors:
+        """After a fit of anchors and reflectors alone."""
+        return self.improved(rows, 3 * (len(self.names) + len(self.targets)))
 
     def located(self, rows: Measurements) -> Measurements:
         """The rows with positions; raises `FitError` for anchors that are not known."""
@@ -99,10 +98,14 @@ class _Anchors:
         """Measured minus predicted distances (N,)."""
         return np.asarray(_distances_mm(rows) - np.linalg.norm(self.lines(rows)[0], axis=1))
 
-    def half_mm(self, rows: Measurements) -> float:
-        return float(np.median(np.abs(self.missed_mm(rows))))
+    def misses(self, rows: Measurements) -> Array:
+        """Distances (N,) of rows from this robot."""
+        return np.abs(self.missed_mm(rows))
 
-    def improved(self, rows: Measurements, count: int | None = None) -> _Anchors:
+    def half_mm(self, rows: Measurements) -> float:
+        return float(np.median(self.misses(rows)))
+
+    def improved(self, rows: Measurements, count: int | None = None) -> Anchors:
         """After a robust fit of the first ``count`` parameters, or of all."""
         from scipy.optimize import least_squares
 
@@ -114,7 +117,7 @@ class _Anchors:
         prior = 1.0 / np.sqrt(np.diag(self.kinematics.prior[1]))[BASE:]
         prior_root = np.hstack([np.zeros((len(prior), free)), np.diag(prior)])[:, :size]
 
-        def at(x: Array) -> _Anchors:
+        def at(x: Array) -> Anchors:
             return replace(self, x=np.concatenate([x, self.x[size:]]))
 
         def missed(x: Array) -> Array:

@@ -14,7 +14,7 @@ from hilcell.fit.placement import ABSURD_MM, CHECK_ROBOT, FitError
 from hilcell.fit.suppositions import TRIED
 from hilcell.geometry.frames import FrameError
 from hilcell.geometry.kinematics import Array, Bools, Ints
-from hilcell.identification.estimate import Estimate
+from hilcell.identification.estimate import LEAST_POSES, Estimate
 from hilcell.identification.measured_poses import (
     FOLDS,
     IdentificationError,
@@ -55,16 +55,20 @@ def _few_poses(rows: Measurements, own: Sequence[int], left_out: int) -> str:
     least = -(-NEIGHBOURS * FOLDS // (FOLDS - 1))  # of which a fifth is left out
     expected = max(least, count + NEIGHBOURS - others)
     struck = f" (and {counted(left_out, 'row')} contradict the others)" if left_out else ""
-    name = "correct its name, or " if len(set(rows.target)) > 1 else ""
+    act = (
+        f"judge any method by those left out, and {LEAST_POSES} to identify the robot; measure more"
+    )
+    if len(set(rows.target)) > 1:
+        act = "interpolate (idw); correct its name, or measure it in more poses"
     return (
         f"{rows.where(own)}: target {rows.target[own[0]]} is measured in {counted(count, 'pose')}"
-        f"{struck}, expected at least {expected} of different joints, a fifth of which "
-        f"cross-validation leaves out; {name}measure it in more poses"
+        f"{struck}, expected at least {expected} of different joints to {act}"
     )
 
 
-def refuse_unplaced(error: FrameError | FitError, mistake: str) -> NoReturn:
-    raise FitError(f"{error}; {_act(mistake, CHECK_ROBOT)}") from error
+def refuse_unplaced(rows: Measurements, error: FrameError | FitError, mistake: str) -> NoReturn:
+    why = f"{rows.source}: nominal positions do not meet the measured ones" if mistake else error
+    raise FitError(f"{why}; {_act(mistake, CHECK_ROBOT)}") from error
 
 
 def refuse_another_robot(rows: Measurements, nominal_mm: Array, mistake: Mistake) -> None:
@@ -82,10 +86,11 @@ def refuse_gross(rows: Measurements, miss_mm: Array, mistake: Mistake) -> None:
     """Refuse misses that no slip explains: without these rows a wrong arm may fit the others."""
     bad = np.flatnonzero(~(miss_mm <= ABSURD_MM))
     if len(bad):
-        act = _act(mistake(bad), f"mend or remove them, and {CHECK_ROBOT}")
+        says = mistake(bad)
         raise FitError(
             f"{rows.source}: {len(bad)} of {len(rows)} rows miss grossly, expected <= "
-            f"{ABSURD_MM:g} mm: {_named(rows, bad, miss_mm)}; {act}"
+            f"{ABSURD_MM:g} mm: {_named(rows, bad, miss_mm, says)}; "
+            f"{_act(says, f'mend or remove them, and {CHECK_ROBOT}')}"
         )
 
 
@@ -94,10 +99,10 @@ def refuse_unidentified(
 ) -> None:
     """Refuse rows that identify no robot, but would without a mistake or many outliers."""
     doubtful_mm = 3.0
-    if not (isinstance(error, ManyContradict) or np.median(nominal_mm) > doubtful_mm):
-        return
-    says = mistake(np.arange(len(rows)))
-    if says or isinstance(error, ManyContradict):
+    many = isinstance(error, ManyContradict)
+    if (many or np.median(nominal_mm) > doubtful_mm) and (
+        (says := mistake(np.arange(len(rows)))) or many
+    ):
         raise FitError(f"{rows.source}: {error}; {_act(says, CHECK_ROBOT)}") from error
 
 
@@ -111,10 +116,11 @@ def refuse_many(rows: Measurements, bad: Bools, miss_mm: Array, mistake: Mistake
     target, own = Counter(rows.target[n] for n in struck).most_common(1)[0]
     if len(set(rows.target)) > 1 and 2 * own > len(struck):
         suspect = f"reflector {target}, {own} of them: it may have moved on the flange"
+    says = mistake(struck)
     raise FitError(
         f"{rows.source}: {len(struck)} of {len(rows)} training rows contradict the others, "
-        f"expected at most {most_struck:.0%}: {_named(rows, struck, miss_mm)}; "
-        f"{_act(mistake(struck), f'check {suspect}, and measure again')}"
+        f"expected at most {most_struck:.0%}: {_named(rows, struck, miss_mm, says)}; "
+        f"{_act(says, f'check {suspect}, and measure again')}"
     )
 
 
@@ -130,7 +136,7 @@ def refuse_mistaken(
     if says := mistake(struck):
         left = f"the identified robot leaves {scatter_mm:.3g} mm"
         if len(struck):
-            named = _named(rows, struck, miss_mm)
+            named = _named(rows, struck, miss_mm, says)
             left = f"{len(struck)} of {len(rows)} rows contradict the others: {named}"
         raise FitError(f"{rows.source}: {left}; {_act(says, '')}")
     name, sigmas, value = far
@@ -167,10 +173,19 @@ def undetermined(test: Measurements, bound_mm: Array, limit_mm: float) -> Ints:
     if len(bad) == len(test):
         raise FitError(
             f"{test.source}: {len(bad)} of {len(test)} rows are not determined by the training "
-            f"rows, expected 95 % bounds <= {limit_mm:.3g} mm: {_named(test, bad, bound_mm)}; "
+            f"rows, expected 95 % bounds <= {limit_mm:.3g} mm: {_named(test, bad, bound_mm, '')}; "
             "measure training poses with other orientations and places"
         )
     return bad
+
+
+def refuse_mistaken_test(test: Measurements, bad: Ints, miss_mm: Array, mistake: Mistake) -> None:
+    """Refuse test rows that a supposition explains better."""
+    if len(bad) and (says := mistake(bad)):
+        raise FitError(
+            f"{test.source}: {len(bad)} of {len(test)} rows are beyond their bounds: "
+            f"{_named(test, bad, miss_mm, says)}; {_act(says, '')}"
+        )
 
 
 def refuse_contradicting(
@@ -191,9 +206,14 @@ def refuse_contradicting(
         )
 
 
-def _named(rows: Measurements, bad: Ints, miss_mm: Array) -> str:
+def _named(rows: Measurements, bad: Ints, miss_mm: Array, mistake: str) -> str:
+    """Rows and what they miss by; a mistake names them itself."""
+    if mistake:
+        return f"up to {miss_mm[bad].max():.4g} mm"
     named = 5  # rows that one message names
+    anchors = [f" anchor {each}" for each in rows.anchor] or [""] * len(rows)
     listed = ", ".join(
-        f"pose {rows.pose[n]} target {rows.target[n]} by {miss_mm[n]:.4g} mm" for n in bad[:named]
+        f"pose {rows.pose[n]} target {rows.target[n]}{anchors[n]} by {miss_mm[n]:.4g} mm"
+        for n in bad[:named]
     )
     return f"{listed}{', ...' if len(bad) > named else ''}"

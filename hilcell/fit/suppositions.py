@@ -1,39 +1,52 @@
-"""Mistakes in measured lists: each is supposed, and the one that explains the rows is named.
+"""Mistakes in measured lists and robot files: each is supposed, and the one that fits is named.
 
-Rows explain themselves by the robot that they identify: the likelihood of what it leaves, with long
-tails (Cauchy's in three dimensions), so that neither a few slips nor a few telling rows decide
-alone.
+A mistake may be in all rows or in some: each row is read as it fits the robot better that the rows
+identify so. They are compared by the likelihood of what it leaves, with long tails (Cauchy's in
+three dimensions), so that neither a few slips nor a few telling rows decide alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import replace
-from itertools import combinations, islice, permutations
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import combinations, islice, pairwise, permutations
 from typing import NamedTuple
 
 import numpy as np
 
 from hilcell.fit.measurements import Measurements
-from hilcell.fit.placement import Placement, place_roughly
+from hilcell.fit.robot_file import Robot
 from hilcell.geometry.frames import apply, inverse, rigid_fit
-from hilcell.geometry.kinematics import Arm, Array, forward
+from hilcell.geometry.kinematics import Arm, Array, Bools, Ints
 from hilcell.ports import HilcellError
+from hilcell.sanitize import counted
 
 SURE = 10.0  # of a likelihood's logarithm: two explanations this close are equal
 LEFT_MM = 5.0  # in the median: more, and the rows are not explained
+LEAST_COUPLED = 3  # revolute joints
+LEAST_MM = 0.02  # no tracker tells less
 TRIED = (
-    "other units, joints that turn the other way, coupled joints, zeros off by 90 or 180 deg, a "
-    "left-handed frame, exchanged reflectors, poses out of step"
+    "units, signs, coupled joints, zeros off by 90 or 180 deg, a left-handed frame, exchanged "
+    "labels, poses out of step, units and convention of the robot file"
 )
 
-Supposed = tuple[str, Measurements]
-Misses = Callable[[Measurements], Array]
+Misses = Callable[[Measurements], Array]  # distances (N,) of rows from a robot
+Learn = Callable[[Arm, Measurements], Misses]  # of a robot that the rows identify
+
+
+class Supposed(NamedTuple):
+    """The rows and the robot as they would be without a mistake."""
+
+    says: str
+    rows: Measurements
+    arm: Arm | None = None  # of another robot file
+    factor: float = 1.0  # of measured lengths: their density in the list as it is
 
 
 class Explained(NamedTuple):
-    """A supposition, its log likelihood, and the median of what it leaves."""
+    """A mistake, its log likelihood, and the median of what it leaves."""
 
     says: str
     likelihood: float
@@ -41,149 +54,277 @@ class Explained(NamedTuple):
 
 
 def explaining(
+    arm: Arm,
     rows: Measurements,
     miss_mm: Array,
-    bad: Iterable[int],
+    bad: Ints,
     supposed: Iterable[Supposed],
-    misses: Misses,
+    learn: Learn,
 ) -> str:
     """Which supposition explains the rows, ``bad`` among them, clearly better than they do as they
     are, missing by ``miss_mm`` (N,). Several that do it equally well are joined by "or"; "" for
     none.
     """
-    most_tried, most_named = 100, 3
-    every = range(0, len(rows), len(rows) // most_tried + 1)
-    tried = sorted({*every, *islice(bad, most_tried)})
-    as_they_are = max(
-        _explained("", rows.at(tried), each).likelihood
-        for each in (misses, lambda _: miss_mm[tried])
-    )
-    found = [_explained(says, changed.at(tried), misses) for says, changed in supposed]
+    most_named = 3
+    given_rows = _tried(rows, bad)
+    given, own = rows.at(given_rows), None
+    as_they_are = _likelihood(miss_mm[given_rows])[0]
+    with suppress(HilcellError, np.linalg.LinAlgError):
+        own = learn(arm, given)
+        as_they_are = max(as_they_are, _likelihood(own(given))[0])
+    found = list[Explained]()
+    for says, changed, other, factor in supposed:
+        with suppress(HilcellError, np.linalg.LinAlgError):
+            if other is not None:
+                found.append(Explained(says, *_likelihood(learn(other, given)(given))))
+                continue
+            without = changed.at(given_rows)
+            tried = _Tried(says, given, without, factor, partial(learn, arm))
+            if own is not None:
+                found += tried.of_some(own, as_they_are)
+            found += tried.of_most()
     best = max((each.likelihood for each in found), default=-np.inf)
     if not best > as_they_are + 2.0 * SURE:
         return ""
-    equal = [each for each in found if each.likelihood > best - SURE]
-    if not all(each.left_mm <= LEFT_MM for each in equal):
+    # Of suppositions that change the same labels the first is named.
+    equal = {each.likelihood: each for each in reversed(found) if each.likelihood > best - SURE}
+    if not all(each.left_mm <= LEFT_MM for each in equal.values()):
         return ""
-    return ", or ".join(each.says for each in equal[:most_named])
+    named = dict.fromkeys(each.says for each in reversed(equal.values()))
+    return ", or ".join(islice(named, most_named))
 
 
-def _explained(says: str, rows: Measurements, misses: Misses) -> Explained:
-    least_mm = 0.02  # no tracker tells less
-    with suppress(HilcellError, np.linalg.LinAlgError):
-        miss_mm = misses(rows)
-        if np.isfinite(miss_mm).all():
-            scale_mm = max(float(np.median(miss_mm)), least_mm)
-            tails = np.log1p((miss_mm / scale_mm) ** 2).sum()
-            likelihood = -3.0 * len(rows) * np.log(scale_mm) - 2.0 * tails
-            return Explained(says, float(likelihood), scale_mm)
-    return Explained(says, -np.inf, np.inf)
+def _tried(rows: Measurements, bad: Ints) -> list[int]:
+    """Rows of evenly chosen poses, and bad ones."""
+    most, least_poses = 100, 24  # rows of each
+    order = list(dict.fromkeys(rows.pose))
+    step = max(min(len(rows) // most + 1, len(order) // least_poses), 1)
+    chosen = {*order[::step]}
+    some = bad[:: len(bad) // most + 1].tolist()
+    return sorted({*some, *(n for n, pose in enumerate(rows.pose) if pose in chosen)})
 
 
-def of_training(arm: Arm, rows: Measurements) -> Iterator[Supposed]:
+def _likelihood(miss_mm: Array) -> tuple[float, float]:
+    """The log likelihood of misses (N,), and their median."""
+    if not np.isfinite(miss_mm).all():
+        return -np.inf, np.inf
+    scale_mm = max(float(np.median(miss_mm)), LEAST_MM)
+    tails = float(np.log1p((miss_mm / scale_mm) ** 2).sum())
+    return -3.0 * len(miss_mm) * float(np.log(scale_mm)) - 2.0 * tails, scale_mm
+
+
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """A mistake in rows as given, tried at those that may have it; ``changed``: without it."""
+
+    says: str
+    given: Measurements
+    changed: Measurements
+    factor: float
+    learn: Callable[[Measurements], Misses]
+
+    def of_some(self, misses: Misses, as_they_are: float) -> Iterator[Explained]:
+        """The mistake in a few rows, by the robot of all: yields one or none."""
+        changed_mm, given_mm = misses(self.changed), misses(self.given)
+        if _likelihood(np.fmin(changed_mm, given_mm))[0] > as_they_are + SURE:
+            with suppress(HilcellError, np.linalg.LinAlgError):
+                yield from self._settled(misses, np.zeros(len(self.given), dtype=np.bool_))
+
+    def of_most(self) -> Iterator[Explained]:
+        """The mistake in all rows or most of them: yields one or none."""
+        yield from self._settled(self.learn(self.changed), np.ones(len(self.given), dtype=np.bool_))
+
+    def _settled(self, misses: Misses, mistaken: Bools) -> Iterator[Explained]:
+        """Each row read as it fits the robot better that they identify so, until none changes."""
+        rounds, no_robot_mm, clearly = 4, 100.0, 3.0
+        for _ in range(rounds):
+            given_mm, changed_mm = misses(self.given), misses(self.changed)
+            likelihood, left_mm = _likelihood(np.fmin(given_mm, changed_mm))
+            before, mistaken = mistaken, changed_mm < given_mm
+            if not left_mm <= no_robot_mm:
+                return
+            if (mistaken == before).all():
+                break
+            misses = self.learn(_mixed(self.given, self.changed, mistaken))
+        differs = np.abs(given_mm - changed_mm) > clearly * left_mm
+        likelihood += 3.0 * float(np.log(self.factor)) * np.count_nonzero(mistaken)
+        says, own = self.says, np.flatnonzero(mistaken & differs)
+        if (differs & ~mistaken).any():
+            likelihood -= len(own) * float(np.log(len(self.given)))  # which rows they are
+            says = f"{says} in {_where(self.given, own.tolist())}"
+        if len(own):
+            yield Explained(says, likelihood, left_mm)
+
+
+def _mixed(given: Measurements, changed: Measurements, mistaken: Bools) -> Measurements:
+    """The rows as changed where mistaken (N,), and as given elsewhere."""
+    if mistaken.all():
+        return changed
+
+    def of(a: Sequence[str], b: Sequence[str]) -> list[str]:
+        return [b[n] if each else a[n] for n, each in enumerate(mistaken[: len(a)])]
+
+    distance_mm = given.distance_mm
+    if distance_mm is not None and changed.distance_mm is not None:
+        distance_mm = np.where(mistaken, changed.distance_mm, distance_mm)
+    return replace(
+        given,
+        target=of(given.target, changed.target),
+        joints_rad=np.where(mistaken[:, None], changed.joints_rad, given.joints_rad),
+        xyz_mm=np.where(mistaken[:, None], changed.xyz_mm, given.xyz_mm),
+        anchor=of(given.anchor, changed.anchor),
+        distance_mm=distance_mm,
+    )
+
+
+def _where(rows: Measurements, own: list[int]) -> str:
+    named = 5
+    poses = list(dict.fromkeys(rows.pose[n] for n in own))
+    listed = ", ".join(poses[:named]) + ", .." * (len(poses) > named)
+    lines = rows.where(own).removeprefix(rows.source)
+    return f"{counted(len(poses), 'pose')}: {listed}{f' ({lines.strip()})' if lines else ''}"
+
+
+def of_training(robot: Robot, rows: Measurements) -> Iterator[Supposed]:
     """Yield training rows as they would be without a mistake, the likeliest first."""
-    yield from _of_a_list(arm, rows)
-    with suppress(HilcellError):
-        yield from _exchanged(place_roughly(arm, rows), rows)
+    yield from _of_a_list(robot, rows)
+    for says, arm in _of_the_file(robot):
+        yield Supposed(says, rows, arm)
 
 
-def of_test(arm: Arm, rows: Measurements, predicted_mm: Array) -> Iterator[Supposed]:
+def of_test(robot: Robot, rows: Measurements, predicted_mm: Array) -> Iterator[Supposed]:
     """Yield test rows so, whose positions are predicted (N, 3) from training rows."""
-    yield from _of_a_list(arm, rows)
-    names = sorted(set(rows.target))
-    most_reflectors = 4  # of which all permutations are tried
-    for others in islice(permutations(names), 1, None) if len(names) <= most_reflectors else ():
-        other = dict(zip(names, others, strict=True))
-        changed = replace(rows, target=[other[target] for target in rows.target])
-        swapped = ", ".join(f"{a} is {b}" for a, b in other.items() if a != b)
-        yield f"the reflectors are swapped: {swapped}", changed
+    yield from _of_a_list(robot, rows)
     if rows.distance_mm is not None:
         return
     with suppress(HilcellError):
         moved = rigid_fit(predicted_mm, rows.xyz_mm)
         back = replace(rows, xyz_mm=apply(inverse(moved.T), rows.xyz_mm))
         shift_mm = float(np.linalg.norm((rows.xyz_mm - predicted_mm).mean(axis=0)))
-        yield f"tracker or robot moved between the files, by {shift_mm:.4g} mm there", back
+        says = f"tracker or robot moved between the files, by {shift_mm:.4g} mm there"
+        yield Supposed(says, back)
 
 
-def _of_a_list(arm: Arm, rows: Measurements) -> Iterator[Supposed]:
-    yield from _units(arm, rows)
-    yield from _joints(arm, rows)
-    mirrored = replace(rows, xyz_mm=rows.xyz_mm * [1.0, 1.0, -1.0])
-    yield "xyz are left-handed: one axis is negated or two are exchanged", mirrored
-    yield from _out_of_step(rows)
+def _of_a_list(robot: Robot, rows: Measurements) -> Iterator[Supposed]:
+    arm = robot.arm
+    for says, joints_rad in (*_joint_units(arm, rows.joints_rad), *_joints(arm, rows.joints_rad)):
+        yield Supposed(says, replace(rows, joints_rad=joints_rad))
+    in_rad = next(_joint_units(arm, rows.joints_rad))[1]
+    what = "positions" if rows.distance_mm is None else "distances"
+    for unit, factor in (
+        ("metres", 1000.0), ("centimetres", 10.0), ("inches", 25.4),
+        ("millimetres, not metres", 0.001), ("millimetres, not inches", 1.0 / 25.4),
+    ):  # fmt: skip
+        scaled = replace(rows, xyz_mm=rows.xyz_mm * factor)
+        if rows.distance_mm is not None:
+            scaled = replace(rows, distance_mm=rows.distance_mm * factor)
+        yield Supposed(f"the {what} are {unit}", scaled, None, factor)
+        if unit == "metres":
+            both = replace(scaled, joints_rad=in_rad)
+            yield Supposed(f"the joints are radians and the {what} are metres", both, None, factor)
+    if rows.distance_mm is None:
+        mirrored = replace(rows, xyz_mm=rows.xyz_mm * [1.0, 1.0, -1.0])
+        says = "xyz are left-handed: one axis is negated or two are exchanged"
+        yield Supposed(says, mirrored)
+    for says, target in _exchanged("reflectors", rows.target):
+        yield Supposed(says, replace(rows, target=target))
+    for says, anchor in _exchanged("anchors", rows.anchor):
+        yield Supposed(says, replace(rows, anchor=anchor))
+    for says, joints_rad in _out_of_step(rows):
+        yield Supposed(says, replace(rows, joints_rad=joints_rad))
 
 
-def _exchanged(placement: Placement, rows: Measurements) -> Iterator[Supposed]:
-    """Yield pairs of reflectors whose labels are exchanged in a part of the poses.
-
-    There both miss by their distance, in opposite directions on the flange; where it is half of the
-    poses, all miss by half of it.
-    """
-    R = forward(placement.arm, rows.joints_rad)[:, :3, :3]
-    missed_mm = rows.xyz_mm - placement.predicted_mm(rows)
-    on_flange = np.einsum("nji,nj->ni", placement.T_L_B[:3, :3] @ R, missed_mm)
-    at = {key: n for n, key in enumerate(zip(rows.pose, rows.target, strict=True))}
-    for a, b in combinations(sorted(set(rows.target)), 2):
-        both = [pose for pose in dict.fromkeys(rows.pose) if (pose, a) in at and (pose, b) in at]
-        if not both:
-            continue
-        apart = np.array([on_flange[at[pose, a]] - on_flange[at[pose, b]] for pose in both])
-        along = apart @ np.linalg.svd(apart - apart.mean(axis=0))[2][0]
-        far = along > (along.min() + along.max()) / 2.0
-        far ^= np.count_nonzero(far) > len(both) / 2
-        swapped = {pose for pose, each in zip(both, far, strict=True) if each}
-        other = {a: b, b: a}
-        target = [
-            other.get(name, name) if pose in swapped else name
-            for pose, name in zip(rows.pose, rows.target, strict=True)
-        ]
-        named = 5
-        poses = ", ".join(sorted(swapped)[:named]) + ", ..." * (len(swapped) > named)
-        says = f"reflectors {a} and {b} are exchanged in {len(swapped)} poses: {poses}"
-        yield says, replace(rows, target=target)
-
-
-def _units(arm: Arm, rows: Measurements) -> Iterator[Supposed]:
+def _joint_units(arm: Arm, joints_rad: Array) -> Iterator[tuple[str, Array]]:
     turns = np.where(arm.turning, 1.0, 0.0)
-    from_rad = replace(rows, joints_rad=rows.joints_rad * (turns * np.degrees(1.0) + 1.0 - turns))
-    from_deg = replace(rows, joints_rad=rows.joints_rad * (turns * np.radians(1.0) + 1.0 - turns))
-    yield "the joints are radians", from_rad
-    yield "the joints are degrees twice converted", from_deg
-    for unit, size_mm in (("metres", 1000.0), ("centimetres", 10.0), ("inches", 25.4)):
-        yield f"the positions are {unit}", replace(rows, xyz_mm=rows.xyz_mm * size_mm)
-    both = replace(from_rad, xyz_mm=rows.xyz_mm * 1000.0)
-    yield "the joints are radians and the positions are metres", both
+    for says, factor in (
+        ("the joints are radians", np.degrees(1.0)),
+        ("the joints are degrees twice converted", np.radians(1.0)),
+    ):
+        yield says, joints_rad * (turns * factor + 1.0 - turns)
+    for row in arm.prismatic:
+        for unit, factor in (("metres", 1000.0), ("millimetres", 0.001)):
+            own = np.where(np.arange(len(arm)) == row, factor, 1.0)
+            yield f"prismatic joint {row + 1} is in {unit}", joints_rad * own
 
 
-def _joints(arm: Arm, rows: Measurements) -> Iterator[Supposed]:
-    joints, count = rows.joints_rad, len(arm)
+def _joints(arm: Arm, joints_rad: Array) -> Iterator[tuple[str, Array]]:
+    count = len(arm)
     for axis in range(count):
         signs = np.where(np.arange(count) == axis, -1.0, 1.0)
-        yield f"joint {axis + 1} turns the other way", replace(rows, joints_rad=joints * signs)
-    revolute = [axis for axis in range(count) if arm.turning[axis]]
-    for axis in range(1, count):
-        if not {axis - 1, axis} <= set(revolute):
+        yield f"joint {axis + 1} turns the other way", joints_rad * signs
+    revolute = np.flatnonzero(arm.turning).tolist()
+    for before, axis in pairwise(revolute):
+        if axis != before + 1 or axis == revolute[2]:  # axis 3: `coupling`
             continue
         for how, sign in (("with", 1.0), ("against", -1.0)):  # as if shown to the ground
-            coupled = joints.copy()
-            coupled[:, axis] += sign * joints[:, axis - 1]
-            says = f"joint {axis + 1} turns {how} joint {axis}"
-            yield says, replace(rows, joints_rad=coupled)
+            coupled = joints_rad.copy()
+            coupled[:, axis] += sign * joints_rad[:, before]
+            yield f"joint {axis + 1} turns {how} joint {before + 1}", coupled
     for axis in revolute[1:-1]:  # base and reflectors follow the first and the last
         for offset_deg in (90.0, -90.0, 180.0):
             shift = np.where(np.arange(count) == axis, np.radians(offset_deg), 0.0)
-            says = f"the zero of joint {axis + 1} is off by {offset_deg:g} deg"
-            yield says, replace(rows, joints_rad=joints + shift)
+            yield f"the zero of joint {axis + 1} is off by {offset_deg:g} deg", joints_rad + shift
 
 
-def _out_of_step(rows: Measurements) -> Iterator[Supposed]:
+def _exchanged(what: str, labels: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
+    names = sorted(set(labels))
+    for a, b in combinations(names, 2):
+        other = {a: b, b: a}
+        yield f"{what} {a} and {b} are exchanged", [other.get(each, each) for each in labels]
+    most = 4  # names of which all permutations are tried
+    for others in permutations(names) if len(names) <= most else ():
+        other = {a: b for a, b in zip(names, others, strict=True) if a != b}
+        if len(other) > 2:
+            swapped = ", ".join(f"{a} is {b}" for a, b in other.items())
+            yield f"{what} are exchanged: {swapped}", [other.get(each, each) for each in labels]
+
+
+def _out_of_step(rows: Measurements) -> Iterator[tuple[str, Array]]:
     order = list(dict.fromkeys(rows.pose))
     number = np.array([order.index(pose) for pose in rows.pose])
     first = rows.joints_rad[[rows.pose.index(pose) for pose in order]]
-    for says, shifted in (
-        ("each pose has the joints of the pose after it", np.roll(first, 1, axis=0)),
-        ("each pose has the joints of the pose before it", np.roll(first, -1, axis=0)),
-        ("the poses' joints are in reverse order", first[::-1]),
+    yield "each pose has the joints of the pose after it", np.roll(first, 1, axis=0)[number]
+    yield "each pose has the joints of the pose before it", np.roll(first, -1, axis=0)[number]
+    yield "the poses' joints are in reverse order", first[::-1][number]
+
+
+def _of_the_file(robot: Robot) -> Iterator[tuple[str, Arm]]:
+    """Yield other readings of the robot file."""
+    arm, of = robot.arm, "of the robot file"
+    if np.count_nonzero(arm.turning) >= LEAST_COUPLED:
+        second, third = (row + 1 for row in arm.coupled_rows)
+        for coupling, how in ((1.0, "with"), (-1.0, "against"), (0.0, "without")):
+            says = f"joint {third} turns {how} joint {second} (coupling = {coupling:g})"
+            if coupling != arm.coupling:
+                yield says, replace(arm, coupling=coupling)
+    yield from _lengths(arm)
+    flat_rad = 1.001 * np.radians(np.pi)
+    if 0.0 < np.abs(arm.alpha_rad).max() <= flat_rad:
+        yield f"alpha {of} is in radians", replace(arm, alpha_rad=np.degrees(arm.alpha_rad))
+    if 0.0 < np.abs(arm.offset_rad).max() <= flat_rad:
+        yield f"offset {of} is in radians", replace(arm, offset_rad=np.degrees(arm.offset_rad))
+    base = robot.base  # of a modified table it has the first a and alpha
+    for convention, by, first_a_mm, first_alpha_rad in (
+        ("modified-dh", -1, arm.a_mm[1:2], arm.alpha_rad[1:2]),
+        ("standard-dh", 1, base[0, 3], np.arctan2(base[2, 1], base[2, 2])),
     ):
-        yield says, replace(rows, joints_rad=shifted[number])
+        a_mm, alpha_rad = np.roll(arm.a_mm, by), np.roll(arm.alpha_rad, by)
+        a_mm[:1], alpha_rad[:1] = first_a_mm, first_alpha_rad
+        rolled = replace(arm, a_mm=a_mm, alpha_rad=alpha_rad)
+        yield f"the convention {of} is {convention}", rolled
+
+
+def _lengths(arm: Arm) -> Iterator[tuple[str, Arm]]:
+    short_mm, metre_mm = 10.0, 1000.0
+    a_mm, d_mm = arm.a_mm, arm.d_mm
+    if max(np.abs(a_mm).max(), np.abs(d_mm).max()) < short_mm:
+        whole = replace(arm, a_mm=metre_mm * a_mm, d_mm=metre_mm * d_mm)
+        yield "all lengths of the robot file are metres", whole
+    for row in range(len(arm)):
+        by = np.where(np.arange(len(arm)) == row, metre_mm, 1.0)
+        for name, length_mm, other in (
+            ("a", a_mm[row], replace(arm, a_mm=a_mm * by)),
+            ("d", d_mm[row], replace(arm, d_mm=d_mm * by)),
+        ):
+            if 0.0 < abs(length_mm) < short_mm:
+                yield f"{name}{row + 1} of the robot file is in metres", other

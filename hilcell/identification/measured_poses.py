@@ -86,6 +86,23 @@ def pose_numbers(joints_rad: Array) -> Ints:
     return number[of_row.ravel()]
 
 
+def turn_middles(joints_rad: Array, turning: Bools) -> Array:
+    """Middle (n,) of the turn in which each revolute joint (N, n) was measured: opposite the
+    largest gap of its angles, so that none of less than a turn moves. NaN for prismatic joints.
+    """
+    turn = 2.0 * np.pi
+    middles = np.full(joints_rad.shape[1], np.nan)
+    for n in np.flatnonzero(turning):
+        low, high = joints_rad[:, n].min(), joints_rad[:, n].max()
+        middles[n] = (low + high) / 2.0
+        if high - low >= turn:
+            angles = np.sort(joints_rad[:, n] % turn)
+            gaps = np.diff(angles, append=angles[0] + turn)
+            widest = int(np.argmax(gaps))
+            middles[n] = angles[widest] + gaps[widest] / 2.0 + np.pi
+    return middles
+
+
 def count_poses(joints_rad: Array) -> int:
     return len(np.unique(pose_numbers(joints_rad)))
 

@@ -7,7 +7,9 @@ the tests' names say which of the two they ran on.
 
 import csv
 import os
+import re
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from hilcell.compensation.interpolation import Idw
 from hilcell.fit.measurements import Measurements, read_measurements
-from hilcell.fit.methods import AtPoints, LeftOut, cross_validate, fit_robot, scattered
+from hilcell.fit.methods import AtPoints, FitResult, LeftOut, cross_validate, fit_robot, scattered
 from hilcell.fit.placement import FitError, place
 from hilcell.fit.robot_file import Robot, RobotModel, Row, read_dh
 from hilcell.geometry.frames import apply, pose_from_zyx
@@ -262,6 +264,41 @@ def test_too_few_poses_are_refused(poses: int) -> None:
         fit_robot(IRB120, measured(1, poses, ["SMR1"]))
 
 
+LEAST = re.findall(
+    r"^\| (positions.*?|distances) \| (\d+) \| (\d+|-)(?: of each)? \| (\d+) \| (\d+) rows \|$",
+    (Path(__file__).parents[3] / "docs" / "fit.md").read_text("utf-8"),
+    re.MULTILINE,
+)
+
+
+@pytest.mark.parametrize("least", LEAST, ids=itemgetter(0))
+def test_the_manual_s_least_poses_are_enough(least: tuple[str, ...]) -> None:
+    kind, any_, idw, arm, bounds = least
+    targets = ["SMR1", "SMR2"] if "several" in kind else ["SMR1"]
+
+    def fitted(poses: int) -> FitResult:
+        rows = measured(1, poses, targets)
+        if kind == "distances":
+            away_mm = np.linalg.norm(rows.xyz_mm - [1500.0, 0.0, -300.0], axis=1)
+            rows = replace(rows, distance_mm=away_mm, anchor=["nest"] * poses)
+            rows.xyz_mm[:] = np.nan
+        return fit_robot(IRB120, rows, rows).result
+
+    with pytest.raises(FitError, match=f"expected at least {any_} of different joints"):
+        fitted(int(any_) - 1)
+    few = fitted(int(any_))["methods"]
+    assert {*few} == ({"nominal"} if idw == "-" else {"nominal", "idw"})
+    assert "tool" not in fitted(int(arm) - 1)["methods"]
+    assert {"mdh", "elastic", "tool", "gp"} <= {*fitted(int(arm))["methods"]}
+    for rows, bounded in ((int(bounds) - 1, False), (int(bounds), True)):
+        if len(targets) == 1:
+            assert bool(fitted(rows)["coverage"]) == bounded
+
+
+def test_the_manual_has_the_least_poses_of_all_kinds() -> None:
+    assert len(LEAST) == 3
+
+
 @pytest.mark.parametrize(
     ("joint_factor", "xyz_factor", "says"),
     [
@@ -378,7 +415,7 @@ def test_poses_out_of_order_are_refused(order: np.ndarray, says: str) -> None:
 def test_reflectors_swapped_in_the_test_set_are_named() -> None:
     rows, test = measured(1, 22, ["SMR1", "SMR2"]), measured(2, 20, ["SMR1", "SMR2"])
     swapped = replace(test, target=[{"SMR1": "SMR2", "SMR2": "SMR1"}[t] for t in test.target])
-    with pytest.raises(FitError, match="SMR1 is SMR2, SMR2 is SMR1"):
+    with pytest.raises(FitError, match="fit if reflectors SMR1 and SMR2 are exchanged: correct"):
         fit_robot(IRB120, rows, swapped)
 
 

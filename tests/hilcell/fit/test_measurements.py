@@ -97,6 +97,18 @@ def test_blanks_and_empty_lines_are_read_as_in_lists_of_holes(written: Write) ->
         np.testing.assert_array_equal(read.xyz_mm, plain.xyz_mm)
 
 
+def test_lines_without_a_measurement_and_reused_labels_are_said(written: Write) -> None:
+    first, unseen = LINE.split(","), LINE.split(",")
+    unseen[-3:] = ["", "", ""]
+    other = [first[0], "SMR2", str(float(first[2]) + 5.0), *first[3:]]
+    said: list[str] = []
+    lines = [LINE, "", ",".join(unseen), ",".join(other)]
+    read_measurements(written("\n".join([",".join(HEADER), *lines])), say=said.append)
+    assert "2 rows" in said[0]
+    assert "(2 lines without a measurement)" in said[0]
+    assert "line 5: pose 518 has other joints" in said[1]
+
+
 def test_rows_that_repeat_another_exactly_count_once(written: Write) -> None:
     other = LINE.replace("2439.1", "2439.1001")
     lines = [LINE, other, LINE, LINE.replace("518", "7"), LINE.replace("SMR1", "SMR2"), LINE]

@@ -10,7 +10,7 @@ from hilcell.cell.settings import SettingsError
 from hilcell.fit.measurements import Measurements, read_measurements
 from hilcell.fit.methods import FittedArm, fit_robot
 from hilcell.fit.placement import FitError, place
-from hilcell.fit.ranges import located
+from hilcell.fit.ranges import Anchors
 from hilcell.geometry.frames import apply, rigid_fit
 from hilcell.geometry.kinematics import Array, forward
 from tests.hilcell.fit.test_fit import IRB120, SMR_MM, crooked_arm
@@ -61,7 +61,7 @@ def shape_mm(rows: Measurements) -> tuple[float, float]:
     """Mean distances of nominal and identified positions from the true ones, all at other poses and
     in the best common frame: distances from points that nobody measured tell of no other.
     """
-    train, _ = located(IRB120.arm, rows, None)
+    train = Anchors.of(IRB120.arm, rows).located(rows)
     arm = FittedArm.learn(place(IRB120.arm, train), train, "mdh", trusted=False)
     joints_rad = RANGE * np.random.default_rng(77).uniform(-1.0, 1.0, (60, 6))
     true_mm = reflector(joints_rad)
@@ -130,3 +130,32 @@ def test_distances_that_tell_nothing_are_refused() -> None:
     other = replace(rows, joints_rad=rows.joints_rad[::-1])
     with pytest.raises(FitError, match="half of the distances"):
         fit_robot(IRB120, other)
+
+
+def exchanged(rows: Measurements, poses: list[int]) -> Measurements:
+    """The rows with two anchors exchanged in some."""
+    other = {"nest 0": "nest 1", "nest 1": "nest 0"}
+    anchor = [other[each] if n in poses else each for n, each in enumerate(rows.anchor)]
+    return replace(rows, anchor=anchor)
+
+
+def test_exchanged_anchors_are_named() -> None:
+    rows, test = (ranges(seed, 60, 2) for seed in (1, 2))
+    for train, asked, named in (
+        (exchanged(rows, [4, 20, 41]), test, "exchanged in 3 poses: 5, 21, 42:"),
+        (rows, exchanged(test, [4, 20, 41]), "exchanged in 3 poses: 5, 21, 42:"),
+        (rows, exchanged(test, [*range(60)]), "exchanged:"),
+    ):
+        with pytest.raises(FitError, match=f"they fit if anchors nest 0 and nest 1 are {named}"):
+            fit_robot(IRB120, train, asked)
+
+
+def test_a_slip_of_a_distance_is_named_with_its_anchor() -> None:
+    rows = ranges(1, 60, 2)
+    assert rows.distance_mm is not None
+    rows.distance_mm[7] += 3.0
+    [found] = fit_robot(IRB120, rows).result["outliers"]
+    assert (found["pose"], found["anchor"]) == ("8", rows.anchor[7])
+    rows.distance_mm[7] += 300.0
+    with pytest.raises(FitError, match=f"pose 8 target SMR anchor {rows.anchor[7]} by 30[0-9]"):
+        fit_robot(IRB120, rows)

@@ -1,6 +1,6 @@
 """Mistakes in lists are named, wrong ones never, and no row that shows one is struck out."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,8 +9,11 @@ import pytest
 from hilcell.fit.measurements import Measurements
 from hilcell.fit.methods import fit_robot
 from hilcell.fit.placement import FitError
+from hilcell.fit.robot_file import Robot
 from hilcell.geometry.frames import apply, pose_from_zyx
+from hilcell.geometry.kinematics import Arm
 from tests.hilcell.fit.test_fit import IRB120, measured, measured_at, turned_alike
+from tests.hilcell.fit.test_serial_chains import CHAINS
 
 Spoil = Callable[[Measurements], Measurements]
 
@@ -48,6 +51,7 @@ def exchanged(poses: int) -> Spoil:
     [
         (joints(np.degrees), "the joints are degrees twice converted"),
         (xyz(lambda x: x / 25.4), "the positions are inches"),
+        (xyz(lambda x: x * 1000.0), "the positions are millimetres, not metres:"),
         (joints(lambda q: q * [1, -1, 1, 1, 1, 1]), "joint 2 turns the other way"),
         (coupled(2, -1.0), "joint 3 turns with joint 2"),
         (coupled(4, 1.0), "joint 5 turns against joint 4"),
@@ -62,6 +66,105 @@ def test_the_mistake_that_explains_the_rows_is_named(spoil: Spoil, named: str) -
     with pytest.raises(FitError, match=f"they fit if .*{named}") as refused:
         fit_robot(IRB120, spoil(rows))
     assert ", or " not in str(refused.value)
+
+
+def some(change: Spoil, of: Sequence[int]) -> Spoil:
+    """A mistake in few rows."""
+
+    def spoil(rows: Measurements) -> Measurements:
+        changed = change(rows)
+        for n in of:
+            rows.joints_rad[n], rows.xyz_mm[n] = changed.joints_rad[n], changed.xyz_mm[n]
+        return rows
+
+    return spoil
+
+
+@pytest.mark.parametrize(
+    ("spoil", "named"),
+    [
+        (some(xyz(lambda x: x / 1000.0), [3, 9, 20]), "the positions are metres in 3 poses"),
+        (some(xyz(lambda x: x * 25.4), [3, 9, 20]), "millimetres, not inches in 3 poses"),
+        (some(joints(np.radians), [3, 9, 20]), "the joints are radians in 3 poses"),
+        (some(joints(lambda q: np.roll(q, 1, axis=0)), range(9, 21)), "before it in 11 poses"),
+        (some(xyz(lambda x: x / 1000.0), range(21)), "the positions are metres in 21 poses"),
+    ],
+)
+def test_a_mistake_in_some_rows_is_named_with_them(spoil: Spoil, named: str) -> None:
+    rows, test = measured(1, 24, ["SMR1"]), measured(2, 24, ["SMR1"])
+    first = 1000 if "21" in named else 1009 if "11" in named else 1003
+    with pytest.raises(FitError, match=f"they fit if .*{named}: {first}, ") as refused:
+        fit_robot(IRB120, spoil(rows))
+    assert ", or " not in str(refused.value)
+    if "3 poses" in named:
+        with pytest.raises(FitError, match=f"they fit if .*{named}: 2003, 2009, 2020:"):
+            fit_robot(IRB120, measured(1, 24, ["SMR1"]), spoil(test))
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (lambda arm: replace(arm, a_mm=arm.a_mm * [1, 0.001, 1, 1, 1, 1]), "a2 of the robot"),
+        (lambda arm: replace(arm, d_mm=arm.d_mm * [1, 1, 1, 0.001, 1, 1]), "d4 of the robot"),
+        (lambda arm: replace(arm, a_mm=arm.a_mm / 1e3, d_mm=arm.d_mm / 1e3), "all lengths"),
+        (lambda arm: replace(arm, alpha_rad=np.radians(arm.alpha_rad)), "alpha of the robot"),
+        (lambda arm: replace(arm, coupling=1.0), "coupling = 0"),
+        (lambda arm: replace(arm, coupling=-1.0), "coupling = 0"),
+        (
+            lambda arm: replace(
+                arm, a_mm=np.roll(arm.a_mm, 1), alpha_rad=np.roll(arm.alpha_rad, 1)
+            ),
+            "convention of the robot file is modified-dh",
+        ),
+    ],
+)
+def test_a_mistake_in_the_robot_file_is_named(change: Callable[[Arm], Arm], named: str) -> None:
+    robot = replace(IRB120, arm=change(IRB120.arm))
+    with pytest.raises(FitError, match=f"they fit if [^,]*{named}") as refused:
+        fit_robot(robot, measured(1, 24, ["SMR1"]))
+    assert ", or " not in str(refused.value)
+
+
+def test_standard_rows_read_as_modified_ones_are_named() -> None:
+    rows = np.column_stack([
+        IRB120.arm.a_mm, np.degrees(IRB120.arm.alpha_rad), IRB120.arm.d_mm,
+        np.degrees(IRB120.arm.offset_rad),
+    ])  # fmt: skip
+    robot = Robot.from_dh("modified", rows, convention="modified-dh")
+    with pytest.raises(FitError, match=r"they fit if the convention .* is standard-dh:"):
+        fit_robot(robot, measured(1, 24, ["SMR1"]))
+
+
+def test_a_prismatic_joint_in_the_wrong_unit_is_named() -> None:
+    rows = CHAINS["on a rail"].measured(1, 40, ["SMR1"])
+    for factor, unit in ((1000.0, "millimetres"), (0.001, "metres")):
+        wrong = joints(lambda q, by=factor: q * np.append(by, np.ones(6)))(rows)
+        with pytest.raises(FitError, match=f"they fit if prismatic joint 1 is in {unit}:"):
+            fit_robot(CHAINS["on a rail"].robot, wrong)
+
+
+def test_reflectors_exchanged_in_few_test_poses_are_named() -> None:
+    rows, test = (measured(n, 24, ["SMR1", "SMR2"]) for n in (1, 2))
+    named = "SMR1 and SMR2 are exchanged in 2 poses: 2003, 2004:"
+    with pytest.raises(FitError, match=f"they fit if reflectors {named}"):
+        fit_robot(IRB120, rows, exchanged(2)(test))
+
+
+def test_a_test_row_far_off_is_named_and_judged() -> None:
+    rows, test = measured(1, 40, ["SMR1"]), measured(2, 20, ["SMR1"])
+    assert fit_robot(IRB120, rows, test).result["test_outliers"] == []
+    test.xyz_mm[7, 1] += 15.0
+    result = fit_robot(IRB120, rows, test).result
+    [far] = result["test_outliers"]
+    assert (far["pose"], far["target"], result["test"]) == ("2007", "SMR1", 20)
+    assert far["miss_mm"] == pytest.approx(15.0, abs=0.2)
+
+
+def test_rows_are_named_where_a_third_is_corrupted() -> None:
+    rows = measured(1, 60, ["SMR1"])
+    rows.xyz_mm[::3] += np.random.default_rng(4).uniform(-9.0, 9.0, (20, 3))
+    with pytest.raises(FitError, match=r"(19|20) of 60 .* contradict the others.*: pose 1000 tar"):
+        fit_robot(IRB120, rows)
 
 
 def test_mistakes_that_explain_alike_are_both_named() -> None:
@@ -80,7 +183,7 @@ def test_a_coupling_that_few_rows_show_by_millimetres_is_named() -> None:
     true[:, 1] = np.where(np.arange(60) % 12 == 0, 0.01, 0.0)
     shown = true.copy()
     shown[:, 2] -= true[:, 1]
-    with pytest.raises(FitError, match=r"5 of 60 .* they fit if joint 3 turns with joint 2:"):
+    with pytest.raises(FitError, match=r"5 of 60 .* they fit if joint 3 turns with joint 2 "):
         fit_robot(IRB120, replace(measured_at(true, rows), joints_rad=shown))
 
 

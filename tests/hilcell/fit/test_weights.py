@@ -135,3 +135,16 @@ def test_a_pose_measured_often_does_not_sharpen_what_others_tell() -> None:
     assert often["model"] is not None
     assert often["model"]["sigma"] == pytest.approx(once["model"]["sigma"], rel=0.2)
     assert often["methods"]["mdh"] == pytest.approx(once["methods"]["mdh"], rel=0.2)
+
+
+def test_whole_turns_of_a_joint_change_nothing() -> None:
+    rows, test = measured(1, 30, ["SMR1"]), measured(2, 10, ["SMR1"])
+    turned = [replace(each, joints_rad=each.joints_rad.copy()) for each in (rows, test)]
+    turned[0].joints_rad[::2, 5] += 2.0 * np.pi
+    turned[1].joints_rad[::3, 3] -= 2.0 * np.pi
+    fits = [fit_robot(IRB120, *each) for each in ((rows, test), turned)]
+    for method, figures in fits[0].result["methods"].items():
+        assert fits[1].result["methods"][method] == pytest.approx(figures, rel=1e-3)
+    asked = replace(test, joints_rad=test.joints_rad + 2.0 * np.pi * np.eye(6)[0])
+    before_mm, after_mm = (fits[0].methods["gp"].predict(each)[0] for each in (test, asked))
+    np.testing.assert_allclose(after_mm, before_mm, atol=1e-6)
