@@ -685,11 +685,12 @@ def _tested(
     anchors: Anchors | None,
 ) -> tuple[dict[str, Figures], dict[str, Coverage], list[Undetermined], list[Outlier]]:
     """Figures and coverage of the determined test rows by method, the other rows, and outliers."""
-    predicted = {name: Predicted.by(method, test) for name, method in methods.items()}
-    method = methods[best or NOMINAL]
-    if not np.isfinite(method.doubt):
-        method = replace(method, doubt=1.0)
-    by_best = Predicted.by(method, test)
+    finite = {
+        name: each if np.isfinite(each.doubt) else replace(each, doubt=1.0)
+        for name, each in methods.items()
+    }
+    predicted = {name: Predicted.by(each, test) for name, each in finite.items()}
+    method, by_best = finite[best or NOMINAL], predicted[best or NOMINAL]
     rigid = replace(method, joint_errors=None) if isinstance(method, FittedArm) else method
 
     def mistake(bad: Ints) -> str:
