@@ -163,7 +163,10 @@ def _rechecked(log: Log, folder: Path, rechecked: Rechecked) -> _Words:
 
 def _again(log: Log, folder: Path) -> Iterator[str]:
     """Yield the re-calibration from the calibration in use, if that knows the arm."""
-    used = calibration_in(log)
+    try:
+        used = calibration_in(log)
+    except msgspec.ValidationError:  # of another version
+        return
     if used is not None and not [*unfit(used, log.cell)]:
         words = ("--from", used.provenance.latest, *_cell(log))
         yield command_in(folder.parent, "run", *words)

@@ -159,6 +159,7 @@ def test_two_visits_of_other_poses_differ_as_their_covariance_states() -> None:
             cell=load_cell("paper"),
             points=dict(enumerate([*again, *then, *now])),
             select=lambda _, again=again: again,
+            happened=lambda kind: [],
         )
         log.once_measured = partial(_computed, log)
         d = (positions_mm(now) - positions_mm(then)).reshape(-1)
