@@ -91,7 +91,10 @@ def most_likely(found: Regression, known: Array, cycles: Array, noise: float) ->
 
     def cost(scales: Array) -> float:
         away = (scales - middle) / doubt
-        return 0.5 * float(away @ away) - evidence(kernel(scales), float(np.exp(scales[2])))
+        try:
+            return 0.5 * float(away @ away) - evidence(kernel(scales), float(np.exp(scales[2])))
+        except np.linalg.LinAlgError:  # so little noise that rounding is more
+            return np.inf
 
     best = minimize(
         cost,

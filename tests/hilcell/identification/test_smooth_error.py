@@ -55,3 +55,16 @@ def test_size_and_noise_are_told_apart(size_rad: float) -> None:
     assert (found.gain > 6.0) == (size_rad > 0.0)
     if size_rad:
         assert 0.4 < found.kernel.size_rad / size_rad < 2.5
+
+
+def test_records_without_noise_have_a_process_too() -> None:
+    """The search tries a noise so small that the equations are singular to the computer."""
+    angle = np.linspace(-0.4, 0.4, 1000)
+    drawn = KERNEL.sigma_rad(CYCLES).repeat(2) * np.random.default_rng(3).normal(size=30)
+    columns = np.hstack([np.ones((1000, 1)), waves(angle)])
+    values = waves(angle) @ drawn
+    found = most_likely(
+        Regression.of(columns, values), np.array([100.0]), CYCLES, float(np.std(values))
+    )
+    assert np.isfinite(found.gain)
+    assert found.gain > 6.0
