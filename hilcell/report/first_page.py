@@ -15,6 +15,7 @@ import numpy as np
 
 from hilcell.calibration.from_run import calibration_so_far, validation_verdicts
 from hilcell.calibration.grid import ORIENTED
+from hilcell.calibration.known_arm import carried_calibration
 from hilcell.calibration.measurement_budget import Budget
 from hilcell.calibration.orientation import validated_orientation_errors
 from hilcell.calibration.position_errors import places, validation
@@ -540,15 +541,18 @@ class Certificate:
         if reflectors > 1:
             measured = "Position and orientation errors of the tool, "
             measured += f"by {reflectors} reflectors on the flange,"
-        measured += (
-            f" measured by laser tracker at {len(log.select('grid'))} vertices of a grid at "
-            f"{facts.cell.grid.station}"
-        )
-        if turned := len(log.select(ORIENTED)):
-            measured += f", at {turned} in other orientations"
-        if poses := len(log.select("pose")):
-            measured += f" and at {poses} poses chosen by the errors found there"
-        phrases = [measured]
+        counts = {
+            "vertices of a grid": len(log.select("grid")),
+            "vertices in other orientations": len(log.select(ORIENTED)),
+            "poses chosen by what they determine": len(log.select("pose")),
+        }
+        places = " and ".join(f"{count} {places}" for places, count in counts.items() if count)
+        phrases = [f"{measured} measured by laser tracker at {places} at {facts.cell.grid.station}"]
+        if (carried := carried_calibration(log)) is not None:
+            phrases.append(
+                f"the arm, its gears' errors and its repeatability known from the calibration of "
+                f"run {carried.provenance.latest}"
+            )
         if log.curves:
             fit, axes = log.verdict(Fitted), "axes" if len(log.curves) > 1 else "axis"
             used = fit is not None and fit.curves.used and fit.method == Kinematic.name
@@ -561,7 +565,7 @@ class Certificate:
             phrases.append("transferred to the other stations by station frames")
         if touched := {point.station for point in log.select("touch")}:
             stations = ", ".join(sorted(touched))
-            phrases.append(f"the base found again by touch poses on the visit of {stations}")
+            phrases.append(f"the base measured by touch poses at each visit of {stations}")
         return "; ".join([*phrases, "validated on targets sent and measured."])
 
     def _validity(self) -> str:

@@ -58,6 +58,11 @@ def test_killed_and_resumed_it_becomes_current(golden: GoldenRuns, tmp_path: Pat
     end = found.journal[-1]
     assert (end["kind"], end["exit"]) == ("end", 0)
     assert end["result"]["known_arm"]["calibration"] == quick.name
+    page = tmp_path / "report.html"
+    assert command("report", "last", "-o", page, "--runs", tmp_path).returncode == 0
+    method = " ".join(page.read_text("utf-8").split())
+    assert "measured by laser tracker at 14 poses chosen by what they determine at S1100" in method
+    assert f"known from the calibration of run {quick.name};" in method
     assert judge(found.journal) == []
     assert len(found.acknowledged) == len(set(found.acknowledged))
     (run,) = {row.name for row in read_index(tmp_path)} - {quick.name}
