@@ -22,6 +22,7 @@ from hilcell.sanitize import LONGEST, clean, encodable
 
 T = TypeVar("T")
 MISSING: Any = object()  # no default
+RESERVED = {"last": "the newest run", "current": "the current calibration"}
 
 
 class Argument(NamedTuple):
@@ -213,8 +214,8 @@ def parse_ports(text: str) -> dict[str, int]:
 def parse_run_name(text: str) -> str:
     """Return a valid name of a folder, in letters of any language."""
     text = unicodedata.normalize("NFC", text)
-    if text == "last":
-        raise argparse.ArgumentTypeError("'last' is reserved for the newest run")
+    if text in RESERVED:
+        raise argparse.ArgumentTypeError(f"{text!r} is reserved for {RESERVED[text]}")
     if not re.fullmatch(r"[^\W_][\w.-]{0,99}", text):
         raise argparse.ArgumentTypeError(
             "expected 1 to 100 letters, digits, '_', '.' and '-', the first a letter or digit, "

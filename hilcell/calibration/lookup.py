@@ -247,7 +247,7 @@ def _current(runs: Path, cell: Cell, table: str, machine: int | None) -> Path:
         return fallback
     raise NoCalibration(
         f"no finished run in {runs} has calibrated cell {cell.name}{gone}; `hilcell run calibrate` "
-        f"first, or name a run or its calibration.json with --set {table}.calibration=RUN"
+        f"first, or name a run or its calibration.json with {_option(table)}"
     )
 
 
@@ -275,8 +275,13 @@ def _way_out(folder: Path, table: str) -> str:
     """Return what to do about a run whose cell or calibration cannot be read."""
     return (
         f"restore {folder} from the backup; move it out of {folder.parent} if it is of another "
-        f"cell; or name a calibration with --set {table}.calibration=RUN"
+        f"cell; or name a calibration with {_option(table)}"
     )
+
+
+def _option(table: str) -> str:
+    """Return the option that names a calibration."""
+    return "--from RUN" if table == "plan" else f"--set {table}.calibration=RUN"
 
 
 def calibration_status(folder: Path) -> CalibrationStatus | None:

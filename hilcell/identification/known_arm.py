@@ -256,7 +256,6 @@ class Followed:
         _, size_rad, axis = self.gear
         return (
             f"the arm is no longer that of {self.known.run}: {len(self.estimate.readings)} poses "
-            f"miss it by {self.ratio**0.5:.1f} times as much as expected, as if axis {axis + 1} "
-            f"erred by {1e6 * size_rad:.0f} µrad from pose to pose (another gear?), and no zero, "
-            "growth or load explains it; run calibrate without --from"
+            f"miss it {self.ratio**0.5:.1f} times as far as expected, as if axis {axis + 1} erred "
+            f"by {1e6 * size_rad:.0f} µrad at each (another gear?); run calibrate without --from"
         )

@@ -21,6 +21,7 @@ from hilcell.arguments import (
     option,
     parse_days,
     parse_finite,
+    parse_name,
     parse_note,
     parse_run_name,
     parse_seed,
@@ -60,11 +61,12 @@ class Order(Signature):
         "(`plan.quick=true`)",
         default=False,
     )
-    start: str = option(
+    start: str | None = option(
         "re-calibrate: start from the arm that this run's calibration knows, or the current one's "
         "(`plan.calibration=RUN`)",
         "RUN|current",
-        default="",
+        parse_name,
+        default=None,
         flags=("--from",),
     )
     seed: int = option(
@@ -104,12 +106,17 @@ class Order(Signature):
             raise HilcellError("--full and --quick: expected one of them")
         if self.full and self.start:
             raise HilcellError("--full and --from: expected one of them")
-        stated = dict(self.settings)
+        settings, plan = dict(self.settings), dict[str, str]()
         if self.start:
-            stated["plan.calibration"] = json.dumps(self.start)
+            plan["plan.calibration"] = json.dumps(self.start)
         if self.full or self.quick or self.start:
-            stated["plan.quick"] = "false" if self.full else "true"
-        return stated
+            plan["plan.quick"] = "false" if self.full else "true"
+        for key, value in plan.items():
+            if settings.get(key, value) != value:
+                raise HilcellError(
+                    f"--set {key} and --full, --quick or --from: expected one of them"
+                )
+        return settings | plan
 
     def check(self, say: Callable[[str], object]) -> NewRun:
         """Return the run, planned; raises `HilcellError` where it must not begin.

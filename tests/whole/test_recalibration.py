@@ -30,6 +30,16 @@ def test_what_it_cannot_start_from_is_refused(golden: GoldenRuns, tmp_path: Path
     assert "--from (plan.calibration) is for calibrate" in refusal(
         tmp_path, "robot-grid", "--from", quick
     )
+    for name in ("last", "current"):
+        assert f"{name!r} is reserved" in refusal(tmp_path, "--name", name)
+    assert "--from: expected a name, got ''" in refusal(tmp_path, "--from", "")
+    for key, value in (("plan.quick", "false"), ("plan.calibration", '"other"')):
+        assert f"--set {key} and --full, --quick or --from: expected one of them" in refusal(
+            tmp_path, "--from", quick, *sets({key: value})
+        )
+    assert "or name a run or its calibration.json with --from RUN" in refusal(
+        tmp_path, "--from", "current", "--cell", "hard"
+    )
     assert "'nowhere' not found" in refusal(tmp_path, "--from", "nowhere")
     assert "name differs" in refusal(tmp_path, "--from", quick, "--cell", "hard")
     other = sets({"serial": "HC-2"})
