@@ -269,10 +269,11 @@ def _layout(path: Path, text: CsvText, names: Mapping[str, str]) -> Columns:
         problem = "expected a header, got an empty file"
     elif any("\t" in each for each in header):
         problem = "fields are separated by tabs; save it with commas or semicolons"
-    elif len(text.rows) > 1:
+    for below, cells in text.rows[1:20]:
         with suppress(ValueError):
-            Columns.of(text.rows[1][1], names)
-            problem = f"the header is in line {text.rows[1][0]}; remove the lines before it"
+            Columns.of(cells, names)
+            problem = f"the header is in line {below}; remove the lines before it"
+            break
     raise SettingsError(str(path), [f"line {line}: {problem}"])
 
 

@@ -63,7 +63,8 @@ def _parquet(content: bytes) -> Rows:
         raise NotTable(f"is not Parquet: {error}") from error
     names = [str(name) for name in columns]
     lines = zip(*columns.values(), strict=True)
-    texts = [["" if cell is None else str(cell) for cell in line] for line in lines]
+    # NaN too is how tables of numbers say that there is none.
+    texts = [["" if cell is None or cell != cell else str(cell) for cell in line] for line in lines]
     return [*enumerate([names, *texts], start=1)]
 
 

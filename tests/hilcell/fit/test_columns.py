@@ -215,6 +215,11 @@ def test_parquet_is_read(tmp_path: Path) -> None:
     found = read_measurements(tmp_path / "a")
     same(found)
     assert found.pose == ROWS.pose
+    row = {f"j{n}_deg": [1.0, 2.0] for n in range(1, 7)}
+    unseen = {f"{smr}_{axis}_mm": [5.0, np.nan] for smr in "AB" for axis in "xyz"}
+    unseen["A_x_mm"], unseen["A_y_mm"], unseen["A_z_mm"] = [[5.0, 6.0]] * 3
+    pq.write_table(pa.table(row | unseen), tmp_path / "b")
+    assert read_measurements(tmp_path / "b").target == ["A", "B", "A"]
 
 
 def quaternions_of(v: np.ndarray) -> np.ndarray:

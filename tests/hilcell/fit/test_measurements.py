@@ -73,6 +73,7 @@ def test_a_long_list_of_bad_lines_is_cut(written: Write) -> None:
         (",".join(HEADER).replace("j3_deg", "j3_grad") + "\n" + LINE, "j3_deg; .*: j3_grad"),
         ("pose,target,x_mm,y_mm,z_mm\n1,A,1,2,3", "missing: j1_deg"),
         ("pose;joints;;x_mm\n" + ";".join(HEADER), "in line 2; remove"),
+        ("# of\n# today, 9:00\n\n" + ",".join(HEADER) + "\n" + LINE, "in line 4; remove"),
         ("\t".join(HEADER), "tabs"),
         (",".join(HEADER) + ",u_mm\n" + LINE + ",0", "line 2: u_mm is 0"),
         (",".join(HEADER) + ",u_mm,u_x_mm\n" + LINE + ",1,1", "u_mm and u_x_mm"),
