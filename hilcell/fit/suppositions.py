@@ -223,9 +223,11 @@ def _of_a_list(robot: Robot, rows: Measurements) -> Iterator[Supposed]:
             both = replace(scaled, joints_rad=in_rad)
             yield Supposed(f"the joints are radians and the {what} are metres", both, None, factor)
     if rows.distance_mm is None:
-        mirrored = replace(rows, xyz_mm=rows.xyz_mm * [1.0, 1.0, -1.0])
         says = "xyz are left-handed: one axis is negated or two are exchanged"
-        yield Supposed(says, mirrored)
+        axes = np.eye(3)  # where the base is known, each axis differs
+        negated = [np.diag(1.0 - 2.0 * each) for each in axes]
+        for mirror in (*negated, *(axes[[*order]] for order in ((1, 0, 2), (2, 1, 0), (0, 2, 1)))):
+            yield Supposed(says, replace(rows, xyz_mm=rows.xyz_mm @ mirror))
     for says, target in _exchanged("reflectors", rows.target):
         yield Supposed(says, replace(rows, target=target))
     for says, anchor in _exchanged("anchors", rows.anchor):
@@ -238,7 +240,7 @@ def _joint_units(arm: Arm, joints_rad: Array) -> Iterator[tuple[str, Array]]:
     turns = np.where(arm.turning, 1.0, 0.0)
     for says, factor in (
         ("the joints are radians", np.degrees(1.0)),
-        ("the joints are degrees twice converted", np.radians(1.0)),
+        ("the joints are degrees, not radians", np.radians(1.0)),
     ):
         yield says, joints_rad * (turns * factor + 1.0 - turns)
     for row in arm.prismatic:
@@ -249,12 +251,20 @@ def _joint_units(arm: Arm, joints_rad: Array) -> Iterator[tuple[str, Array]]:
 
 def _joints(arm: Arm, joints_rad: Array) -> Iterator[tuple[str, Array]]:
     count = len(arm)
+    if np.count_nonzero(arm.turning) >= LEAST_COUPLED:
+        second, third = arm.coupled_rows
+        for coupling, how in ((1.0, "with"), (-1.0, "against"), (0.0, "without")):
+            if coupling != arm.coupling:
+                coupled = joints_rad.copy()
+                coupled[:, third] += (coupling - arm.coupling) * joints_rad[:, second]
+                says = f"joint {third + 1} turns {how} joint {second + 1} (coupling = {coupling:g})"
+                yield says, coupled
     for axis in range(count):
         signs = np.where(np.arange(count) == axis, -1.0, 1.0)
         yield f"joint {axis + 1} turns the other way", joints_rad * signs
     revolute = np.flatnonzero(arm.turning).tolist()
     for before, axis in pairwise(revolute):
-        if axis != before + 1 or axis == revolute[2]:  # axis 3: `coupling`
+        if axis != before + 1 or axis == revolute[2]:  # axis 3: above
             continue
         for how, sign in (("with", 1.0), ("against", -1.0)):  # as if shown to the ground
             coupled = joints_rad.copy()
@@ -291,12 +301,6 @@ def _out_of_step(rows: Measurements) -> Iterator[tuple[str, Array]]:
 def _of_the_file(robot: Robot) -> Iterator[tuple[str, Arm]]:
     """Yield other readings of the robot file."""
     arm, of = robot.arm, "of the robot file"
-    if np.count_nonzero(arm.turning) >= LEAST_COUPLED:
-        second, third = (row + 1 for row in arm.coupled_rows)
-        for coupling, how in ((1.0, "with"), (-1.0, "against"), (0.0, "without")):
-            says = f"joint {third} turns {how} joint {second} (coupling = {coupling:g})"
-            if coupling != arm.coupling:
-                yield says, replace(arm, coupling=coupling)
     yield from _lengths(arm)
     flat_rad = 1.001 * np.radians(np.pi)
     if 0.0 < np.abs(arm.alpha_rad).max() <= flat_rad:

@@ -49,7 +49,7 @@ def exchanged(poses: int) -> Spoil:
 @pytest.mark.parametrize(
     ("spoil", "named"),
     [
-        (joints(np.degrees), "the joints are degrees twice converted"),
+        (joints(np.degrees), "the joints are degrees, not radians"),
         (xyz(lambda x: x / 25.4), "the positions are inches"),
         (xyz(lambda x: x * 1000.0), "the positions are millimetres, not metres:"),
         (joints(lambda q: q * [1, -1, 1, 1, 1, 1]), "joint 2 turns the other way"),
@@ -86,6 +86,9 @@ def some(change: Spoil, of: Sequence[int]) -> Spoil:
         (some(xyz(lambda x: x / 1000.0), [3, 9, 20]), "the positions are metres in 3 poses"),
         (some(xyz(lambda x: x * 25.4), [3, 9, 20]), "millimetres, not inches in 3 poses"),
         (some(joints(np.radians), [3, 9, 20]), "the joints are radians in 3 poses"),
+        (some(xyz(lambda x: x * [1, -1, 1]), [3, 9, 20]), "left-handed: .* in 3 poses"),
+        (some(xyz(lambda x: x[:, [0, 2, 1]]), [3, 9, 20]), "left-handed: .* in 3 poses"),
+        (some(coupled(2, -1.0), [3, 9, 20]), r"\(coupling = 1\) in 3 poses"),
         (some(joints(lambda q: np.roll(q, 1, axis=0)), range(9, 21)), "before it in 11 poses"),
         (some(xyz(lambda x: x / 1000.0), range(21)), "the positions are metres in 21 poses"),
     ],
