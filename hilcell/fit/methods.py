@@ -38,7 +38,7 @@ from hilcell.fit.refusals import (
     refuse_unplaced,
     undetermined,
 )
-from hilcell.fit.repeats import averaged
+from hilcell.fit.repeats import averaged, lacking_mm2
 from hilcell.fit.robot_file import Robot
 from hilcell.fit.suppositions import Misses, explaining, of_test, of_training
 from hilcell.geometry import statistics
@@ -188,12 +188,14 @@ class AtPoints:
     """Nominal positions and predicted errors there, by reflector.
 
     Each reflector has its own model: nominal poses in {B}, errors with the tracker's axes.
-    ``doubt``: factor of the standard deviations that the models understate.
+    ``doubt``: factor of the standard deviations that the models understate; ``lacking_mm2``: the
+    variance that a coordinate has beyond one of the means that were learnt from.
     """
 
     placement: Placement
     models: Mapping[str, LearntModel]
     doubt: float = 1.0
+    lacking_mm2: float = 0.0
 
     @classmethod
     def learn(cls, placement: Placement, rows: Measurements, model: type[LearntModel]) -> Self:
@@ -225,7 +227,7 @@ class AtPoints:
             prediction = model.predict(poses[own])
             found_mm[own] += prediction.error_mm
             covariance_mm2[own] = prediction.covariance_mm2
-        return found_mm, self.doubt**2 * covariance_mm2
+        return found_mm, self.doubt**2 * covariance_mm2 + self.lacking_mm2 * np.eye(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,8 +266,7 @@ class Poses:
 class FittedArm:
     """An identified robot and the rows that it was learnt from.
 
-    ``middles_rad`` (n,): of the turns of its joints; ``doubt``: factor of the standard deviations
-    that it understates.
+    ``middles_rad`` (n,): of the turns of its joints; ``doubt``, ``lacking_mm2``: as of `AtPoints`.
     """
 
     estimate: Estimate
@@ -274,6 +275,7 @@ class FittedArm:
     middles_rad: Array
     joint_errors: WithJointErrors | None = None
     doubt: float = 1.0
+    lacking_mm2: float = 0.0
 
     @classmethod
     def learn(
@@ -345,7 +347,8 @@ class FittedArm:
         """Positions (N, 3) in the tracker's frame, and covariances (N, 3, 3) of readings there."""
         poses = Poses.of(rows.within_turns(self.middles_rad), self.targets)
         at_mm, covariance_mm2 = self.found.predict(poses.readings.joints_rad)
-        return poses.by_row(at_mm), self.doubt**2 * poses.by_row(covariance_mm2)
+        covariance_mm2 = self.doubt**2 * poses.by_row(covariance_mm2)
+        return poses.by_row(at_mm), covariance_mm2 + self.lacking_mm2 * np.eye(3)
 
     def left_out(self, fold: Ints) -> LeftOut:
         """Each row as predicted from the other folds (N,)."""
@@ -442,16 +445,16 @@ def fit_robot(robot: Robot, train: Measurements, test: Measurements | None = Non
     arm = robot.arm
     refuse_few_poses(train)
     middles_rad = turn_middles(train.joints_rad, arm.turning != 0.0)
-    train = train.within_turns(middles_rad)
-    test = None if test is None else test.within_turns(middles_rad)
     anchors = _anchored(robot, train, test)
     if anchors is not None:
         train, test = anchors.located(train), None if test is None else anchors.located(test)
     placement = _placed(robot, train)
-    train = averaged(placement, train)
+    one_mm2 = lacking_mm2(placement, train, middles_rad)
+    as_given = averaged(placement, train, middles_rad)
+    train = as_given.within_turns(middles_rad)
     order = _order(train)
     rows = train.at(order)
-    bad, refused = _contradicting(robot, placement, train, order, anchors)
+    bad, refused = _contradicting(robot, placement, train, as_given, order, anchors)
     kept = rows.at(np.flatnonzero(~bad))
     refuse_few_poses(kept, int(bad.sum()))
     placement, elsewhere = place(arm, kept), _elsewhere(kept)
@@ -470,7 +473,10 @@ def fit_robot(robot: Robot, train: Measurements, test: Measurements | None = Non
         name: AtPoints.learn(placement, kept, model) for name, model in models.items()
     }
     methods |= arms
-    methods = {name: replace(each, doubt=left_out[name].doubt) for name, each in methods.items()}
+    methods = {
+        name: replace(each, doubt=left_out[name].doubt, lacking_mm2=one_mm2)
+        for name, each in methods.items()
+    }
     judged, coverage, reason = validated, dict[str, Coverage](), ""
     best = min(arms, key=lambda name: validated[name].mean, default=None)
     limit_mm = _limit_mm(validated[NOMINAL], arms.get(best or ""))
@@ -605,15 +611,19 @@ def methods_table(methods: Mapping[str, Mapping[str, float]]) -> Table:
 
 
 def _contradicting(
-    robot: Robot, placement: Placement, train: Measurements, order: Ints, anchors: Anchors | None
-) -> tuple[Bools, dict[str, str]]:
-    """Which rows (N,), in an order, contradict the others, and why no robot is identified."""
+    robot: Robot, placement: Placement, train: Measurements, as_given: Measurements, order: Ints,
+    anchors: Anchors | None,
+) -> tuple[Bools, dict[str, str]]:  # fmt: skip
+    """Which rows (N,), in an order, contradict the others, and why no robot is identified.
+
+    ``as_given``: with their whole turns, which tell of mistaken units.
+    """
     rows = train.at(order)
 
     def mistake(bad: Ints) -> str:  # in the file's order: it may name a shift in it
-        supposed = of_training(robot, train)
+        supposed = of_training(robot, as_given)
         learn = _learnt if anchors is None else lambda *_: anchors.misses
-        return explaining(robot.arm, train, miss_mm, bad, supposed, learn)
+        return explaining(robot.arm, as_given, miss_mm, bad, supposed, learn)
 
     back = np.argsort(order)
     miss_mm = nominal_mm = placement.miss_mm(train)
@@ -699,10 +709,10 @@ def _tested(
         return explaining(robot.arm, test, miss_mm, bad, supposed, lambda *_: misses)
 
     miss_mm = statistics.lengths_mm(test.seen_mm(test.xyz_mm - by_best.xyz_mm))
-    refuse_gross(test, np.where(miss_mm <= by_best.bound95_mm, 0.0, miss_mm), mistake)
+    beyond = 3.0  # bounds, 8 standard deviations
+    refuse_gross(test, np.where(miss_mm <= beyond * by_best.bound95_mm, 0.0, miss_mm), mistake)
     unknown = undetermined(test, by_best.bound95_mm, limit_mm if best else np.inf)
     known = np.setdiff1d(np.arange(len(test)), unknown)
-    beyond = 3.0  # bounds, 8 standard deviations
     far = known[~(miss_mm[known] <= beyond * by_best.bound95_mm[known])]
     refuse_mistaken_test(test, far, miss_mm, mistake)
     figures, coverage = {}, {}

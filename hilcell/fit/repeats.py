@@ -16,17 +16,14 @@ from hilcell.geometry.statistics import lengths_mm
 from hilcell.identification.measured_poses import pose_numbers
 
 
-def averaged(placement: Placement, rows: Measurements) -> Measurements:
-    """One row a pose and reflector, at the joints of the pose's first row.
+def averaged(placement: Placement, rows: Measurements, middles_rad: Array) -> Measurements:
+    """One row a pose and reflector, at the joints of the pose's first row, whose turns are about
+    the middles (n,).
 
     Means are of differences from nominal positions, as the joints differ a little, and are weighted
     by the inverse covariances, where known.
     """
-    pose = pose_numbers(rows.joints_rad).tolist()
-    anchor = rows.anchor or [""] * len(rows)
-    groups: dict[tuple[int, str, str], list[int]] = {}
-    for n, key in enumerate(zip(pose, rows.target, anchor, strict=True)):
-        groups.setdefault(key, []).append(n)
+    pose, groups = _poses(rows, middles_rad), _repeated(rows, middles_rad)
     if len(groups) == len(rows):
         return rows
     of_pose = {number: n for n, number in reversed([*enumerate(pose)])}
@@ -54,6 +51,40 @@ def averaged(placement: Placement, rows: Measurements) -> Measurements:
         if mean.u_rad is not None and rows.u_rad is not None:
             mean.u_rad[n] = np.sum(rows.u_rad[own] ** -2.0) ** -0.5
     return replace(mean, xyz_mm=placement.predicted_mm(mean) + errors_mm)
+
+
+def lacking_mm2(placement: Placement, rows: Measurements, middles_rad: Array) -> float:
+    """The variance of a coordinate that one reading has and the mean of its pose has not.
+
+    It is of the readings' scatter within poses, less their own variances.
+    """
+    missed_mm = rows.seen_mm(rows.xyz_mm - placement.predicted_mm(rows))
+    own_mm2, axes = np.zeros(len(rows)), 3.0 if rows.along is None else 1.0
+    if rows.covariance_mm2 is not None:
+        own_mm2 = np.trace(rows.seen_mm2(rows.covariance_mm2), axis1=1, axis2=2)
+    groups = [_agreeing(own, missed_mm) for own in _repeated(rows, middles_rad).values()]
+    again = len(rows) - len(groups)
+    if not again:
+        return 0.0
+    squares_mm2 = sum(len(own) * missed_mm[own].var(axis=0).sum() for own in groups)
+    scatter_mm2 = (squares_mm2 / (sum(map(len, groups)) - len(groups)) - own_mm2.mean()) / axes
+    lacking = 1.0 - np.mean([1.0 / len(own) for own in groups])
+    return float(max(scatter_mm2, 0.0) * lacking)
+
+
+def _poses(rows: Measurements, middles_rad: Array) -> list[int]:
+    numbers: list[int] = pose_numbers(rows.within_turns(middles_rad).joints_rad).tolist()
+    return numbers
+
+
+def _repeated(rows: Measurements, middles_rad: Array) -> dict[tuple[int, str, str], list[int]]:
+    """The rows of each pose, reflector and anchor."""
+    anchor = rows.anchor or [""] * len(rows)
+    groups: dict[tuple[int, str, str], list[int]] = {}
+    keys = zip(_poses(rows, middles_rad), rows.target, anchor, strict=True)
+    for n, key in enumerate(keys):
+        groups.setdefault(key, []).append(n)
+    return groups
 
 
 def _agreeing(own: list[int], missed_mm: Array) -> list[int]:

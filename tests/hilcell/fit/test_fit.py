@@ -19,7 +19,16 @@ from scipy.spatial.transform import Rotation
 
 from hilcell.compensation.interpolation import Idw
 from hilcell.fit.measurements import Measurements, read_measurements
-from hilcell.fit.methods import AtPoints, FitResult, LeftOut, cross_validate, fit_robot, scattered
+from hilcell.fit.methods import (
+    AtPoints,
+    FitResult,
+    FittedArm,
+    LeftOut,
+    Predicted,
+    cross_validate,
+    fit_robot,
+    scattered,
+)
 from hilcell.fit.placement import FitError, place
 from hilcell.fit.robot_file import Robot, RobotModel, Row, read_dh
 from hilcell.geometry.frames import apply, pose_from_zyx
@@ -453,8 +462,12 @@ def test_one_orientation_is_predicted_and_others_are_refused() -> None:
     train, test = (measured_at(turned_alike(seed, 25), rows) for seed in (1, 2))
     result = fit_robot(IRB120, train, test).result
     assert result["methods"][result["chosen"]]["mean_mm"] < 0.06
-    with pytest.raises(FitError, match="of 25 rows are not determined by the training rows"):
-        fit_robot(IRB120, train, measured_at(turned_alike(2, 25, 30.0), rows))
+    other = measured_at(turned_alike(2, 25, 30.0), rows)
+    bounds_mm = Predicted.by(FittedArm.learn(place(IRB120.arm, train), train, "mdh"), other)[2]
+    for shift in (0.0, 1.5):  # bounds: a little beyond one it is not gross either
+        shifted = replace(other, xyz_mm=other.xyz_mm + shift * bounds_mm[:, None] * [1, 0, 0])
+        with pytest.raises(FitError, match="of 25 rows are not determined by the training rows"):
+            fit_robot(IRB120, train, shifted)
 
 
 def on_a_line(seed: int) -> Measurements:

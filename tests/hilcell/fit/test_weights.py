@@ -98,7 +98,7 @@ def test_repeated_readings_of_a_pose_are_one_row() -> None:
     twice = rows.at([*range(12), *range(3, 9)])
     twice.xyz_mm[12:] += 0.01
     placement = place(IRB120.arm, rows)
-    mean = averaged(placement, twice)
+    mean = averaged(placement, twice, np.zeros(6))
     assert (len(mean), mean.pose) == (12, rows.pose)
     assert mean.covariance_mm2 is not None
     assert mean.u_rad is not None
@@ -109,10 +109,22 @@ def test_repeated_readings_of_a_pose_are_one_row() -> None:
     )
     np.testing.assert_allclose(mean.covariance_mm2[4], np.eye(3) * 0.01**2 / 2)
     np.testing.assert_allclose(mean.u_rad[[0, 4]], [TURNED_RAD, TURNED_RAD / 2**0.5])
-    assert averaged(placement, rows) is rows
+    assert averaged(placement, rows, np.zeros(6)) is rows
     often = rows.at([*range(12), *[2] * 5])
     often.xyz_mm[13] += 5.0
-    np.testing.assert_allclose(averaged(placement, often).xyz_mm, rows.xyz_mm, atol=1e-9)
+    again = averaged(placement, often, np.zeros(6))
+    np.testing.assert_allclose(again.xyz_mm, rows.xyz_mm, atol=1e-9)
+
+
+def test_bounds_are_of_one_reading_after_repeated_ones() -> None:
+    """Means of ten readings scatter less than the single ones of the test rows."""
+    rows, test = measured(1, 40, ["SMR1"]), measured(2, 60, ["SMR1"])
+    rng = np.random.default_rng(3)
+    ten = rows.at(np.repeat(np.arange(40), 10))
+    noisy_ten = replace(ten, xyz_mm=ten.xyz_mm + rng.normal(0, 0.05, ten.xyz_mm.shape))
+    single = replace(test, xyz_mm=test.xyz_mm + rng.normal(0, 0.05, test.xyz_mm.shape))
+    result = fit_robot(IRB120, noisy_ten, single).result
+    assert result["coverage95"] == pytest.approx(0.95, abs=0.05)
 
 
 def test_a_pose_measured_often_does_not_sharpen_what_others_tell() -> None:
