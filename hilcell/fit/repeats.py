@@ -21,7 +21,7 @@ def averaged(placement: Placement, rows: Measurements, middles_rad: Array) -> Me
     the middles (n,).
 
     Means are of differences from nominal positions, as the joints differ a little, and are weighted
-    by the inverse covariances, where known.
+    by the inverse covariances, where known; those of distances are singular, and count alike.
     """
     pose, groups = _poses(rows, middles_rad), _repeated(rows, middles_rad)
     if len(groups) == len(rows):
@@ -36,7 +36,8 @@ def averaged(placement: Placement, rows: Measurements, middles_rad: Array) -> Me
     missed_mm, errors_mm = rows.xyz_mm - placement.predicted_mm(rows), np.empty((len(mean), 3))
     precision: Array = np.broadcast_to(np.eye(3), (len(rows), 3, 3))
     covariances_mm2 = mean.covariance_mm2
-    if rows.covariance_mm2 is not None:
+    weighted = rows.along is None
+    if weighted and rows.covariance_mm2 is not None:
         precision = np.asarray(np.linalg.inv(rows.covariance_mm2), dtype=float)
     for n, repeated in enumerate(groups.values()):
         own = _agreeing(repeated, missed_mm)
@@ -44,7 +45,7 @@ def averaged(placement: Placement, rows: Measurements, middles_rad: Array) -> Me
         errors_mm[n] = np.linalg.solve(
             together, np.einsum("nij,nj->i", precision[own], missed_mm[own])
         )
-        if covariances_mm2 is not None:
+        if weighted and covariances_mm2 is not None:
             covariances_mm2[n] = np.linalg.inv(together)
         if mean.R is not None and rows.R is not None:
             mean.R[n] = _middle(rows.R[own])

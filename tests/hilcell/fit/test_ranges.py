@@ -95,6 +95,15 @@ def test_distances_are_predicted_within_their_bounds() -> None:
     assert result["coverage"][result["chosen"]]["share"] >= 0.85
 
 
+def test_repeated_distances_count_once() -> None:
+    once = ranges(1, 60, 2)
+    rows = once.at(np.repeat(np.arange(len(once)), 3))
+    assert rows.distance_mm is not None
+    noise_mm = np.random.default_rng(4).normal(0, 0.01, len(rows))
+    result = fit_robot(IRB120, replace(rows, distance_mm=rows.distance_mm + noise_mm)).result
+    assert result["rows"] == len(once)
+
+
 def test_distances_are_read(tmp_path: Path) -> None:
     rows, said = ranges(4, 5, 2), list[str]()
     assert rows.distance_mm is not None
