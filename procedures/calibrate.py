@@ -13,7 +13,7 @@ from procedures.axis_sweeps import AxisSweeps
 from procedures.base_frame import BaseFrame
 from procedures.fit import Choice, Fit, SignCheck
 from procedures.rail import HoldStation, RailSurvey, StationRepeatability
-from procedures.recalibration import TABLE, CarriedArm, Once
+from procedures.recalibration import TABLE, CarriedArm, Change, Once
 from procedures.repeatability import Repeatability, Revisits
 from procedures.robot_grid import ChosenPoses, RobotGrid
 from procedures.station_frames import FrameRepeatability, StationFrames
@@ -23,6 +23,8 @@ from procedures.world_frame import Home, TwoFaces, WorldFrame
 
 def words(result: Result) -> str:
     lines = []
+    if "known_arm" in result:
+        lines += [text] if (text := typed(result["known_arm"], Change).text) else []
     for where, place in list(typed(result.get("validation", {}), dict[str, Place]).items())[:1]:
         before, after = place.before.orientation, place.chosen.orientation
         if before is not None and after is not None:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from hilcell.calibration.grid import measured_errors
 from hilcell.calibration.known_arm import carried_arm, carried_calibration
 from hilcell.calibration.lookup import NoCalibration, calibration_named, record_of
@@ -92,6 +94,19 @@ class Change(StepResult, frozen=True, kw_only=True):
     gain: float
     most_gain: float
     changed: dict[str, float]
+
+    @property
+    def text(self) -> str:
+        """The changes in words; "" where there are none."""
+        sizes = {
+            "reflector": "{0:.2f} mm".format,
+            "growth of the arm": lambda ratio: f"{1e6 * ratio:.0f} µm/m",
+        }
+        said = [
+            f"{name} by {sizes.get(name, lambda rad: f'{np.degrees(rad):.3f}°')(size)}"
+            for name, size in self.changed.items()
+        ]
+        return f"Changed since {self.calibration}: {', '.join(said)}." if said else ""
 
 
 def arm_in(log: Log) -> KnownArm:

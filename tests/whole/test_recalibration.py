@@ -11,6 +11,7 @@ from campaigns.kills import killed
 from hilcell.journal.calibration_status import statuses
 from hilcell.journal.index import read_index
 from hilcell.journal.runs import CALIBRATION
+from procedures.calibrate import CALIBRATE
 from tests.whole.bench import command, judge, ran, sets, simulation
 from tests.whole.golden import GoldenRuns
 
@@ -83,7 +84,7 @@ def test_a_redo_leads_to_it(golden: GoldenRuns, tmp_path: Path) -> None:
     """The calibration is revoked by then; its arm is a prior all the same."""
     quick = golden["quick"].copied_to(tmp_path)
     with simulation() as cell:
-        cell.strike("robot.lost_zero_2", 0.06)
+        cell.strike("robot.lost_zero_2", 0.1)
         values = {"simulation.address": cell.control}
         checked = ran(tmp_path, "recheck", values, name="R")
         assert checked.result["recheck"]["verdict"] == "redo"
@@ -91,4 +92,5 @@ def test_a_redo_leads_to_it(golden: GoldenRuns, tmp_path: Path) -> None:
         assert f"hilcell run --from {quick.name}" in last
         done = ran(tmp_path, "calibrate", values, "--from", quick.name, "--seed", "3", name="C")
     assert "zero of axis 2" in done.result["known_arm"]["changed"]
+    assert f"Changed since {quick.name}: zero of axis 2 by 0." in CALIBRATE.words(done.result)
     assert done.done.returncode in (0, 1), done.done.stderr
