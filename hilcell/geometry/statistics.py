@@ -228,13 +228,16 @@ def beam_noise(at_mm: Array, std_mm: ArrayLike, samples: ArrayLike) -> BeamNoise
     """Noise shown by the scatter of readings at places (N, 3), N >= 1.
 
     ``std_mm`` (N, 3): of a single reading, axes of the tracker, from ``samples`` (N,); one sample:
-    as the instrument states. Least squares with weights as of variances, both non-negative.
+    as the instrument states. Least squares with weights as of variances, both non-negative. A
+    reading that is no number shows nothing.
     """
-    along, range_m2 = _beams(at_mm)
-    freedom = np.maximum(np.asarray(samples, dtype=float) - 1.0, 1.0)
+    std_mm = np.asarray(std_mm, dtype=float)
+    finite = np.isfinite(at_mm).all(axis=1) & np.isfinite(std_mm).all(axis=1)
+    along, range_m2 = _beams(at_mm[finite])
+    freedom = np.maximum(np.asarray(samples, dtype=float)[finite] - 1.0, 1.0)
     shares = np.diagonal(along, axis1=1, axis2=2)
     A = np.stack([shares, range_m2[:, None] * (1.0 - shares)], axis=-1).reshape(-1, 2)
-    stated_mm2 = np.square(np.asarray(std_mm, dtype=float)).reshape(-1)
+    stated_mm2 = np.square(std_mm[finite]).reshape(-1)
     known = np.repeat(np.sqrt(freedom), 3)
     weights: Array = known
     found: Array = np.zeros(2)

@@ -136,9 +136,12 @@ def test_distances_that_tell_nothing_are_refused() -> None:
         fit_robot(IRB120, rows, test)
     with pytest.raises(FitError, match="positions or distances, in both"):
         fit_robot(IRB120, rows, replace(test, distance_mm=None))
-    other = replace(rows, joints_rad=rows.joints_rad[::-1])
+    backwards = replace(rows, joints_rad=rows.joints_rad[::-1])
+    with pytest.raises(FitError, match="they fit if the poses' joints are in reverse order"):
+        fit_robot(IRB120, backwards)
+    mixed = np.random.default_rng(4).permutation(len(rows.joints_rad))
     with pytest.raises(FitError, match="half of the distances"):
-        fit_robot(IRB120, other)
+        fit_robot(IRB120, replace(rows, joints_rad=rows.joints_rad[mixed]))
 
 
 def exchanged(rows: Measurements, poses: list[int]) -> Measurements:

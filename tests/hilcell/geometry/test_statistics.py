@@ -160,6 +160,15 @@ def test_noise_is_found_along_and_across_the_beam(noise: BeamNoise) -> None:
     assert found.freedom == (samples - 1).sum()
 
 
+@pytest.mark.parametrize("place", [True, False])
+def test_a_reading_that_is_no_number_shows_no_noise(place: bool) -> None:
+    rng = np.random.default_rng(2)
+    at_mm, std_mm, samples = places(20, rng), np.full((20, 3), 0.1), np.full(20, 4)
+    wanted = beam_noise(at_mm[1:], std_mm[1:], samples[1:])
+    (at_mm if place else std_mm)[0, 1] = np.nan
+    assert beam_noise(at_mm, std_mm, samples) == wanted
+
+
 def test_readings_without_scatter_have_no_noise() -> None:
     at_mm = places(20, np.random.default_rng(2))
     assert beam_noise(at_mm, np.zeros((20, 3)), np.full(20, 4)) == BeamNoise(0.0, 0.0, 60.0)
