@@ -34,7 +34,7 @@ from numpy.typing import ArrayLike
 
 from hilcell.calibration.decision_rule import Guard, guard_band, tolerance_limits
 from hilcell.calibration.position_errors import validation
-from hilcell.cell.file import Cell
+from hilcell.cell.file import BLOCK, Cell
 from hilcell.geometry.kinematics import Bools
 from hilcell.journal.log import Log
 from hilcell.model.events import StationDecided
@@ -49,7 +49,6 @@ from procedures.plan import stations_in_order
 OCTANTS = np.array(  # of a box, in an order whose every step crosses one face
     [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 1, 1), (1, 1, 1), (1, 0, 1), (0, 0, 1)]
 )
-BLOCK = len(OCTANTS)
 
 
 LIGHT = 3.0  # the largest over the median of errors whose hazard rises: 2.2 +- 0.3 of normal ones

@@ -100,6 +100,9 @@ def with_rail(values: Json) -> Json:
 Share = Annotated[float, Meta(ge=0.001, le=0.5)]
 
 
+BLOCK = 8  # targets of a quick plan that are judged together, one in each octant of the volume
+
+
 class PlanTable(Frozen, frozen=True, kw_only=True):
     """The plan of `calibrate`: full, or quick, as short as the verdict allows.
 
@@ -112,7 +115,7 @@ class PlanTable(Frozen, frozen=True, kw_only=True):
     accept_risk: Share = 0.05
     reject_risk: Share = 0.05
     share_above_max: Share = 0.1
-    most_targets: Annotated[int, Meta(ge=8, le=1000)] = 96
+    most_targets: Annotated[int, Meta(ge=BLOCK, le=1000)] = 96
     bound_mm: Size = 0.06
     least_poses: Annotated[int, Meta(ge=0, le=100)] = 27
     most_poses: Annotated[int, Meta(ge=0, le=100)] = 27

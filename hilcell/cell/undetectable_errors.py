@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hilcell.cell.file import Cell
+from hilcell.cell.file import BLOCK, Cell
 from hilcell.geometry.frames import apply
 
 
@@ -55,11 +55,11 @@ def undetectable_errors(cell: Cell, *, two_faces: bool) -> list[str]:
             f"detected; it moves targets by {slipped_mm:.2f} mm (rms)"
         )
     if cell.plan.quick:
-        share, fewest = cell.plan.share_above_max, 8  # targets
+        share = cell.plan.share_above_max
         errors.append(
-            f"a quick plan accepts a station by {fewest} targets: an error in {share:.0%} "
+            f"a quick plan accepts a station by {BLOCK} targets: an error in {share:.0%} "
             "of the volume at that station alone is missed with a probability of up to "
-            f"{(1.0 - share) ** fewest:.2f}; calibrate with --full where this matters"
+            f"{(1.0 - share) ** BLOCK:.2f}; calibrate with --full where this matters"
         )
     errors.append(
         "a reflector that differs from the others: a prism 0.15 mm too long on the flange moves "
