@@ -6,15 +6,11 @@ measured; the arm is followed by a few poses (`procedures.robot_grid.ChosenPoses
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import numpy as np
-
 from hilcell.calibration.grid import measured_errors
 from hilcell.calibration.known_arm import carried_arm, carried_calibration
 from hilcell.calibration.lookup import NoCalibration, calibration_named, record_of
 from hilcell.cell.file import Cell
-from hilcell.identification.known_arm import Followed, KnownArm
+from hilcell.identification.known_arm import Followed, KnownArm, in_units
 from hilcell.journal.log import Log
 from hilcell.model.events import ArmCarried
 from hilcell.model.plan import PlannedStep
@@ -98,14 +94,7 @@ class Change(StepResult, frozen=True, kw_only=True):
     @property
     def text(self) -> str:
         """The changes in words; "" where there are none."""
-        sizes = {
-            "reflector": "{0:.2f} mm".format,
-            "growth of the arm": lambda ratio: f"{1e6 * ratio:.0f} µm/m",
-        }
-        said = [
-            f"{name} by {sizes.get(name, lambda rad: f'{np.degrees(rad):.3f}°')(size)}"
-            for name, size in self.changed.items()
-        ]
+        said = [f"{name} by {in_units(name, size)}" for name, size in self.changed.items()]
         return f"Changed since {self.calibration}: {', '.join(said)}." if said else ""
 
 
@@ -124,15 +113,13 @@ def followed(log: Log) -> Followed:
     return arm_in(log).followed(arm.readings)
 
 
-@dataclass(frozen=True)
-class Once(Step):
+class Once:
     """A step whose yield a re-calibration carries."""
 
-    step: Step
-
-    def __post_init__(self) -> None:
-        for text in ("name", "needs", "moves", "measures", "yields"):
-            object.__setattr__(self, text, getattr(self.step, text))
+    def __init__(self, step: Step) -> None:
+        self.step = step
+        self.name, self.needs, self.moves = step.name, step.needs, step.moves
+        self.measures, self.yields = step.measures, step.yields
 
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         if cell.plan.recalibrates:

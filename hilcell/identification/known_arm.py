@@ -29,6 +29,16 @@ RISK = 1e-3  # that an unchanged arm is refused
 MOST_STRUCK = 0.2  # share of the poses beyond which they are not slips
 
 
+GROWTH, REFLECTOR = "growth of the arm", "reflector"  # all other changes are angles
+
+
+def in_units(name: str, size: float) -> str:
+    """Return the size of a change, a ratio, mm or rad, as a person reads it."""
+    if name == GROWTH:
+        return f"{1e6 * size:.0f} µm/m"
+    return f"{size:.2f} mm" if name == REFLECTOR else f"{np.degrees(size):.3f}°"
+
+
 class ArmChanged(IdentificationError):
     """Poses that contradict the arm of an earlier calibration."""
 
@@ -75,8 +85,8 @@ class KnownArm:
                 Component(f"zero of axis {n + 1}", 5e-6, unit[:, [at]])
                 for n, at in enumerate(zeros)
             ),
-            Component("growth of the arm", 20e-6, lengths[:, None]),
-            Component("reflector", 0.02, unit[:, BASE : kinematics.placed]),
+            Component(GROWTH, 20e-6, lengths[:, None]),
+            Component(REFLECTOR, 0.02, unit[:, BASE : kinematics.placed]),
             *([Component("loads", 5e-6, unit[:, loads])] if loads else []),
         ]
 

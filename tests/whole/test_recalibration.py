@@ -63,8 +63,8 @@ def test_what_it_cannot_start_from_is_refused(golden: GoldenRuns, tmp_path: Path
 def test_killed_and_resumed_it_becomes_current(golden: GoldenRuns, tmp_path: Path) -> None:
     quick = golden["quick"].copied_to(tmp_path)
     with simulation() as cell:
-        words = ("calibrate", "--from", "current", "--seed", "2")
-        words = (*words, *sets({"simulation.address": cell.control}))
+        words = ["calibrate", "--from", "current", "--seed", "2"]
+        words += sets({"simulation.address": cell.control})
         found = killed(tmp_path, words, [40, 120, 260], later_s=iter([0.0] * 3))
     end = found.journal[-1]
     assert (end["kind"], end["exit"]) == ("end", 0)

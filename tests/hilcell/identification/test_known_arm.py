@@ -11,7 +11,7 @@ from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import from_rotvec, matrix
 from hilcell.identification.estimate import predict
 from hilcell.identification.kinematics import Kinematics
-from hilcell.identification.known_arm import ArmChanged, KnownArm
+from hilcell.identification.known_arm import GROWTH, REFLECTOR, ArmChanged, KnownArm, in_units
 from hilcell.identification.measured_poses import Noise, Readings
 from hilcell.ports import Array
 from hilcell.sanitize import clean
@@ -129,3 +129,15 @@ def test_larger_noise_is_taken_over_in_part() -> None:
     assert 0.85 * NOISE_MM < noise.reading_mm < NOISE_MM
     sure = replace(known, samples=1e6).followed(readings(known, 8)).estimate.noise
     assert sure.reading_mm == pytest.approx(0.85 * NOISE_MM, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "said"),
+    [
+        (REFLECTOR, 0.504, "0.50 mm"),
+        (GROWTH, 21.4e-6, "21 µm/m"),
+        ("zero of axis 3", 0.00084, "0.048°"),
+    ],
+)
+def test_a_change_is_said_in_its_unit(name: str, size: float, said: str) -> None:
+    assert in_units(name, size) == said
