@@ -593,13 +593,18 @@ def broken_beam(tracker: Quick) -> None:
     tracker.peer.answers[49] = whole
 
 
+def turned_over(tracker: Quick) -> None:
+    TurningPeer(tracker.peer)
+    tracker.measure_back(POINT, SMR, 1)
+
+
 @pytest.mark.parametrize(
     "between",
     [
         broken_beam,
         lambda tracker: tracker.measure(POINT, "SMR 0.5in", 1),
         lambda tracker: tracker.release_beam(),
-        lambda tracker: TurningPeer(tracker.peer) and tracker.measure_back(POINT, SMR, 1),
+        turned_over,
         lambda tracker: tracker.connect(),
     ],
     ids=["failure", "other reflector", "released", "turned", "connected"],
