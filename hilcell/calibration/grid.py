@@ -58,8 +58,11 @@ def measured_grid(log: Log) -> MeasuredGrid:
         vertices_mm = grid.vertices_mm()
         poses = matrix(log.cell.grid.centre.matrix()[:3, :3], vertices_mm.reshape(-1, 3))
         known = Kinematic.learn(measured_errors(log)).predict(poses)
-        covariance_mm2 = known.covariance_mm2.reshape(*grid.shape, 3, 3)
-        return MeasuredGrid(grid, known.error_mm.reshape(*grid.shape, 3), covariance_mm2)
+        return MeasuredGrid(
+            grid,
+            known.error_mm.reshape(*grid.shape, 3),
+            known.covariance_mm2.reshape(*grid.shape, 3, 3),
+        )
     i, j, k = np.array([point.id.vertex for point in points], dtype=int).reshape(-1, 3).T
     errors_mm: Array = np.full((*grid.shape, 3), np.nan)
     covariance_mm2: Array = np.full((*grid.shape, 3, 3), np.nan)
