@@ -28,7 +28,7 @@ waiting: $(VENV)/compiled  ## tests in event time that mostly wait, and need no 
 	$(BIN)/python -m pytest -m "waits and not (nightly or process or wall)" $$(grep -lr --include="test_*.py" mark.waits tests)
 
 processes: $(VENV)/compiled  ## tests that start processes and hold at any pace
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "process and not nightly" $$(grep -lr --include="test_*.py" mark.process tests)
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "process and not (nightly or wall)" $$(grep -lr --include="test_*.py" mark.process tests)
 
 alone: $(VENV)/compiled  ## tests of real deadlines, one at a time
 	$(BIN)/python -m pytest -m "wall and not nightly" $$(grep -lr --include="test_*.py" mark.wall tests)

@@ -43,6 +43,7 @@ def typed(words: str, folder: Path, answered: str = "") -> subprocess.CompletedP
     return done
 
 
+@pytest.mark.wall  # 17 minutes of a hall over wires whose deadlines are real
 def test_the_page_is_typed(tmp_path: Path) -> None:
     """Nothing but the ports differs from the page: several tests may run at once."""
     (hall,) = re.findall(r"^```\n(hilcell sim .*) &\n```$", PAGE, re.MULTILINE)

@@ -153,6 +153,7 @@ def test_a_command_that_hangs_delays_neither_the_run_nor_its_end(
     """It does not read its input either, of which a pipe would hold a part only."""
     monkeypatch.setattr(notify, "REST_S", 0.3)
     monkeypatch.setattr(notify, "END_S", 0.3)
+    monkeypatch.setattr(notify, "CLOSING_S", 120.0)  # a loaded PC writes 21 failures slowly
     monkeypatch.setattr(notify, "LIMIT_S", 1e6)  # a record that waits for a command never returns
     with Session(tmp_path / "r1", command) as session:
         for _ in range(20):
