@@ -40,7 +40,7 @@ from hilcell.fit.refusals import (
 )
 from hilcell.fit.repeats import averaged, lacking_mm2
 from hilcell.fit.robot_file import Robot
-from hilcell.fit.suppositions import Misses, explaining, of_test, of_training
+from hilcell.fit.suppositions import Misses, Mistake, explaining, moved_amid, of_test, of_training
 from hilcell.geometry import statistics
 from hilcell.geometry.frames import FrameError
 from hilcell.geometry.kinematics import Arm, Array, Bools, Ints
@@ -525,7 +525,7 @@ def _anchored(robot: Robot, train: Measurements, test: Measurements | None) -> A
         refuse_unplaced(train, error, _supposed(robot, train))
 
 
-def _supposed(robot: Robot, train: Measurements) -> str:
+def _supposed(robot: Robot, train: Measurements) -> Mistake:
     """Which mistake explains rows that no robot explains."""
     every, far_mm = np.arange(len(train)), np.full(len(train), np.inf)
     return explaining(robot.arm, train, far_mm, every, of_training(robot, train), _learnt)
@@ -620,13 +620,14 @@ def _contradicting(
     """
     rows = train.at(order)
 
-    def mistake(bad: Ints) -> str:  # in the file's order: it may name a shift in it
-        supposed = of_training(robot, as_given)
+    def mistake(bad: Ints) -> Mistake:  # in the file's order: it may name a shift in it
+        supposed = of_training(robot, as_given, predicted_mm)
         learn = _learnt if anchors is None else lambda *_: anchors.misses
         return explaining(robot.arm, as_given, miss_mm, bad, supposed, learn)
 
     back = np.argsort(order)
-    miss_mm = nominal_mm = placement.miss_mm(train)
+    miss_mm, predicted_mm = placement.miss_mm(train), placement.predicted_mm(train)
+    nominal_mm = miss_mm
     try:
         found = FittedArm.learn(placement, rows, max(TERMS, key=_terms), trusted=False)
     except IdentificationError as error:
@@ -638,12 +639,14 @@ def _contradicting(
             refuse_many(train, miss_mm > GROSS * np.median(miss_mm), miss_mm, mistake)
         refuse_unidentified(train, nominal_mm, error, mistake)
         return np.zeros(len(rows), dtype=np.bool_), dict.fromkeys((*TERMS, RESIDUAL), str(error))
-    miss_mm = statistics.lengths_mm(rows.seen_mm(rows.xyz_mm - found.predict(rows)[0]))[back]
+    predicted_mm = found.predict(rows)[0][back]
+    miss_mm = statistics.lengths_mm(train.seen_mm(train.xyz_mm - predicted_mm))
     bad = found.outliers[back]
     refuse_misread(placement, train)
     refuse_gross(train, np.where(bad, miss_mm, 0.0), mistake)
     refuse_many(train, bad, miss_mm, mistake)
-    refuse_mistaken(train, bad, miss_mm, found.estimate, mistake)
+    moved = any(moved_amid(train, predicted_mm))
+    refuse_mistaken(train, bad, miss_mm, found.estimate, mistake, moved=moved)
     return found.outliers, {}
 
 
@@ -703,7 +706,7 @@ def _tested(
     method, by_best = finite[best or NOMINAL], predicted[best or NOMINAL]
     rigid = replace(method, joint_errors=None) if isinstance(method, FittedArm) else method
 
-    def mistake(bad: Ints) -> str:
+    def mistake(bad: Ints) -> Mistake:
         supposed = of_test(robot, test, by_best.xyz_mm)
         misses = anchors.misses if anchors is not None else partial(_missed_mm, rigid)
         return explaining(robot.arm, test, miss_mm, bad, supposed, lambda *_: misses)

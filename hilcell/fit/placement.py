@@ -119,18 +119,18 @@ def _first(flange: Array, rows: Measurements) -> tuple[Array, Array]:
     """Base (4, 4) and one reflector (3,) on all flanges (N, 4, 4), where the search begins."""
     names = f"{rows.source}: nominal positions", f"{rows.source}: measured positions"
     try:
-        return _rigid(flange[:, :3, 3], rows.xyz_mm, names), np.zeros(3)
+        return rigid(flange[:, :3, 3], rows.xyz_mm, names), np.zeros(3)
     except FrameError:
         # Of poses near one another the reflector's own way is more than the flange's.
         lever_mm = 200.0
         for smr_mm in lever_mm * np.concatenate([np.eye(3), -np.eye(3)]):
             with suppress(FrameError):
-                return _rigid(apply_each(flange, smr_mm), rows.xyz_mm, names), smr_mm
+                return rigid(apply_each(flange, smr_mm), rows.xyz_mm, names), smr_mm
         own = rows.of(rows.target[0])  # other reflectors are beside its line
         return _along_a_line(flange[own, :3, 3], rows.at(own)), np.zeros(3)
 
 
-def _rigid(a_mm: Array, b_mm: Array, names: tuple[str, str]) -> Array:
+def rigid(a_mm: Array, b_mm: Array, names: tuple[str, str] = ("points", "points")) -> Array:
     """The motion (4, 4) of most points, by weights that fade beyond the median residual, first by
     how far their distances from others differ: one stray mirrors or turns a whole set.
     """

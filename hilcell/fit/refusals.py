@@ -11,7 +11,7 @@ import numpy as np
 from hilcell.compensation.interpolation import NEIGHBOURS
 from hilcell.fit.measurements import Measurements
 from hilcell.fit.placement import ABSURD_MM, CHECK_ROBOT, FitError
-from hilcell.fit.suppositions import TRIED
+from hilcell.fit.suppositions import Mistake
 from hilcell.geometry.frames import FrameError
 from hilcell.geometry.kinematics import Array, Bools, Ints
 from hilcell.identification.estimate import LEAST_POSES, Estimate
@@ -26,7 +26,7 @@ from hilcell.sanitize import counted
 
 LEAST_INSIDE = 0.5  # share of test rows within 95 % bounds; below, they are not of this robot
 
-Mistake = Callable[[Ints], str]  # which supposition explains all rows, those of an index too
+Explaining = Callable[[Ints], Mistake]  # of all rows, those of an index too
 
 
 def refuse_few_poses(rows: Measurements, left_out: int = 0) -> None:
@@ -66,12 +66,12 @@ def _few_poses(rows: Measurements, own: Sequence[int], left_out: int) -> str:
     )
 
 
-def refuse_unplaced(rows: Measurements, error: FrameError | FitError, mistake: str) -> NoReturn:
+def refuse_unplaced(rows: Measurements, error: FrameError | FitError, mistake: Mistake) -> NoReturn:
     why = f"{rows.source}: nominal positions do not meet the measured ones" if mistake else error
     raise FitError(f"{why}; {_act(mistake, CHECK_ROBOT)}") from error
 
 
-def refuse_another_robot(rows: Measurements, nominal_mm: Array, mistake: Mistake) -> None:
+def refuse_another_robot(rows: Measurements, nominal_mm: Array, mistake: Explaining) -> None:
     """Refuse rows of which nominal kinematics miss half grossly, and no robot is identified."""
     half_mm = float(np.median(nominal_mm))
     if not half_mm <= ABSURD_MM:
@@ -82,7 +82,7 @@ def refuse_another_robot(rows: Measurements, nominal_mm: Array, mistake: Mistake
         )
 
 
-def refuse_gross(rows: Measurements, miss_mm: Array, mistake: Mistake) -> None:
+def refuse_gross(rows: Measurements, miss_mm: Array, mistake: Explaining) -> None:
     """Refuse misses that no slip explains: without these rows a wrong arm may fit the others."""
     bad = np.flatnonzero(~(miss_mm <= ABSURD_MM))
     if len(bad):
@@ -95,7 +95,7 @@ def refuse_gross(rows: Measurements, miss_mm: Array, mistake: Mistake) -> None:
 
 
 def refuse_unidentified(
-    rows: Measurements, nominal_mm: Array, error: IdentificationError, mistake: Mistake
+    rows: Measurements, nominal_mm: Array, error: IdentificationError, mistake: Explaining
 ) -> None:
     """Refuse rows that identify no robot, but would without a mistake or many outliers."""
     doubtful_mm = 3.0
@@ -106,7 +106,7 @@ def refuse_unidentified(
         raise FitError(f"{rows.source}: {error}; {_act(says, CHECK_ROBOT)}") from error
 
 
-def refuse_many(rows: Measurements, bad: Bools, miss_mm: Array, mistake: Mistake) -> None:
+def refuse_many(rows: Measurements, bad: Bools, miss_mm: Array, mistake: Explaining) -> None:
     """Refuse more outliers than slips explain."""
     struck = np.flatnonzero(bad)
     most_struck = 0.1  # share of training rows left out; beyond, they are no single slips
@@ -125,11 +125,15 @@ def refuse_many(rows: Measurements, bad: Bools, miss_mm: Array, mistake: Mistake
 
 
 def refuse_mistaken(
-    rows: Measurements, bad: Bools, miss_mm: Array, estimate: Estimate, mistake: Mistake
-) -> None:
-    """Refuse rows that a supposition explains better, and a robot unlike the robot file's."""
+    rows: Measurements, bad: Bools, miss_mm: Array, estimate: Estimate, mistake: Explaining, *,
+    moved: bool,
+) -> None:  # fmt: skip
+    """Refuse rows that a supposition explains better, and a robot unlike the robot file's.
+
+    ``moved``: whether the tracker may have moved amid them.
+    """
     far, scatter_mm = _farthest(estimate), estimate.noise.reading_mm
-    doubtful = far[1] > 6.0 or scatter_mm > 0.5  # standard deviations; mm
+    doubtful = moved or far[1] > 6.0 or scatter_mm > 0.5  # standard deviations; mm
     struck = np.flatnonzero(bad)
     if not (len(struck) or doubtful):
         return
@@ -145,7 +149,7 @@ def refuse_mistaken(
         most = abs(value) / sigmas * most_sigmas
         raise FitError(
             f"{rows.source}: the rows are of another robot than the robot file's: {name} differs "
-            f"by {value:.4g}, expected <= {most:.3g}; {_act('', CHECK_ROBOT)}"
+            f"by {value:.4g}, expected <= {most:.3g}; {_act(says, CHECK_ROBOT)}"
         )
 
 
@@ -159,10 +163,10 @@ def _farthest(estimate: Estimate) -> tuple[str, float, float]:
     return kinematics.names[links][n], float(sigmas[n]), float(values[n])
 
 
-def _act(mistake: str, act: str) -> str:
+def _act(mistake: Mistake, act: str) -> str:
     if mistake:
-        return f"they fit if {mistake}: correct the files, and keep these rows"
-    return f"{act}; no mistake explains all rows (tried: {TRIED})"
+        return f"they fit if {mistake.says}: correct the files, and keep these rows"
+    return f"{act}; none of the {mistake.tried} mistakes tried explains all rows (docs/fit.md)"
 
 
 def undetermined(test: Measurements, bound_mm: Array, limit_mm: float) -> Ints:
@@ -173,13 +177,15 @@ def undetermined(test: Measurements, bound_mm: Array, limit_mm: float) -> Ints:
     if len(bad) == len(test):
         raise FitError(
             f"{test.source}: {len(bad)} of {len(test)} rows are not determined by the training "
-            f"rows, expected 95 % bounds <= {limit_mm:.3g} mm: {_named(test, bad, bound_mm, '')}; "
+            f"rows, expected 95 % bounds <= {limit_mm:.3g} mm: {_named(test, bad, bound_mm)}; "
             "measure training poses with other orientations and places"
         )
     return bad
 
 
-def refuse_mistaken_test(test: Measurements, bad: Ints, miss_mm: Array, mistake: Mistake) -> None:
+def refuse_mistaken_test(
+    test: Measurements, bad: Ints, miss_mm: Array, mistake: Explaining
+) -> None:
     """Refuse test rows that a supposition explains better."""
     if len(bad) and (says := mistake(bad)):
         raise FitError(
@@ -190,7 +196,7 @@ def refuse_mistaken_test(test: Measurements, bad: Ints, miss_mm: Array, mistake:
 
 def refuse_contradicting(
     test: Measurements, chosen: str, share: float, bound_mm: float, mean_mm: float,
-    mistake: Mistake,
+    mistake: Explaining,
 ) -> None:  # fmt: skip
     """Refuse test rows that violate the bounds: corrections would be as wrong."""
     if not share >= LEAST_INSIDE:
@@ -206,7 +212,7 @@ def refuse_contradicting(
         )
 
 
-def _named(rows: Measurements, bad: Ints, miss_mm: Array, mistake: str) -> str:
+def _named(rows: Measurements, bad: Ints, miss_mm: Array, mistake: Mistake | None = None) -> str:
     """Rows and what they miss by; a mistake names them itself."""
     if mistake:
         return f"up to {miss_mm[bad].max():.4g} mm"

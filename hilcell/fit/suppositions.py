@@ -17,9 +17,11 @@ from typing import NamedTuple
 import numpy as np
 
 from hilcell.fit.measurements import Measurements
+from hilcell.fit.placement import rigid
 from hilcell.fit.robot_file import Robot
-from hilcell.geometry.frames import apply, inverse, rigid_fit
-from hilcell.geometry.kinematics import Arm, Array, Bools, Ints
+from hilcell.geometry.frames import apply, inverse, motion_levers, rigid_fit
+from hilcell.geometry.kinematics import MM, Arm, Array, Bools, Ints, forward
+from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import HilcellError
 from hilcell.sanitize import counted
 
@@ -27,10 +29,6 @@ SURE = 10.0  # of a likelihood's logarithm: two explanations this close are equa
 LEFT_MM = 5.0  # in the median: more, and the rows are not explained
 LEAST_COUPLED = 3  # revolute joints
 LEAST_MM = 0.02  # no tracker tells less
-TRIED = (
-    "units, signs, coupled joints, zeros off by 90 or 180 deg, a left-handed frame, exchanged "
-    "labels, poses out of step, units and convention of the robot file"
-)
 
 Misses = Callable[[Measurements], Array]  # distances (N,) of rows from a robot
 Learn = Callable[[Arm, Measurements], Misses]  # of a robot that the rows identify
@@ -43,6 +41,17 @@ class Supposed(NamedTuple):
     rows: Measurements
     arm: Arm | None = None  # of another robot file
     factor: float = 1.0  # of measured lengths: their density in the list as it is
+
+
+@dataclass(frozen=True, slots=True)
+class Mistake:
+    """The supposition that explains all rows, false if none does; ``tried``: their count."""
+
+    says: str
+    tried: int
+
+    def __bool__(self) -> bool:
+        return bool(self.says)
 
 
 class Explained(NamedTuple):
@@ -60,10 +69,9 @@ def explaining(
     bad: Ints,
     supposed: Iterable[Supposed],
     learn: Learn,
-) -> str:
+) -> Mistake:
     """Which supposition explains the rows, ``bad`` among them, clearly better than they do as they
-    are, missing by ``miss_mm`` (N,). Several that do it equally well are joined by "or"; "" for
-    none.
+    are, missing by ``miss_mm`` (N,). Several that do it equally well are joined by "or".
     """
     most_named = 3
     given_rows = _tried(rows, bad)
@@ -72,8 +80,9 @@ def explaining(
     with suppress(HilcellError, np.linalg.LinAlgError):
         own = learn(arm, given)
         as_they_are = max(as_they_are, _likelihood(own(given))[0])
-    found = list[Explained]()
+    found, none = list[Explained](), Mistake("", 0)
     for says, changed, other, factor in supposed:
+        none = replace(none, tried=none.tried + 1)
         with suppress(HilcellError, np.linalg.LinAlgError):
             if other is not None:
                 found.append(Explained(says, *_likelihood(learn(other, given)(given))))
@@ -85,13 +94,16 @@ def explaining(
             found += tried.of_most()
     best = max((each.likelihood for each in found), default=-np.inf)
     if not best > as_they_are + 2.0 * SURE:
-        return ""
+        return none
     # Of suppositions that change the same labels the first is named.
-    equal = {each.likelihood: each for each in reversed(found) if each.likelihood > best - SURE}
+    equal: dict[float, Explained] = {}
+    for each in found:
+        if each.likelihood > best - SURE:
+            equal.setdefault(each.likelihood, each)
     if not all(each.left_mm <= LEFT_MM for each in equal.values()):
-        return ""
-    named = dict.fromkeys(each.says for each in reversed(equal.values()))
-    return ", or ".join(islice(named, most_named))
+        return none
+    named = dict.fromkeys(each.says for each in equal.values())
+    return replace(none, says=", or ".join(islice(named, most_named)))
 
 
 def _tried(rows: Measurements, bad: Ints) -> list[int]:
@@ -185,9 +197,16 @@ def _where(rows: Measurements, own: list[int]) -> str:
     return f"{counted(len(poses), 'pose')}: {listed}{f' ({lines.strip()})' if lines else ''}"
 
 
-def of_training(robot: Robot, rows: Measurements) -> Iterator[Supposed]:
-    """Yield training rows as they would be without a mistake, the likeliest first."""
+def of_training(
+    robot: Robot, rows: Measurements, predicted_mm: Array | None = None
+) -> Iterator[Supposed]:
+    """Yield training rows as they would be without a mistake, the likeliest first.
+
+    ``predicted_mm`` (N, 3): their positions, where known.
+    """
     yield from _of_a_list(robot, rows)
+    if predicted_mm is not None:
+        yield from moved_amid(rows, predicted_mm)
     for says, arm in _of_the_file(robot):
         yield Supposed(says, rows, arm)
 
@@ -195,21 +214,60 @@ def of_training(robot: Robot, rows: Measurements) -> Iterator[Supposed]:
 def of_test(robot: Robot, rows: Measurements, predicted_mm: Array) -> Iterator[Supposed]:
     """Yield test rows so, whose positions are predicted (N, 3) from training rows."""
     yield from _of_a_list(robot, rows)
+    yield from moved_amid(rows, predicted_mm)
     if rows.distance_mm is not None:
         return
     with suppress(HilcellError):
         moved = rigid_fit(predicted_mm, rows.xyz_mm)
         back = replace(rows, xyz_mm=apply(inverse(moved.T), rows.xyz_mm))
         shift_mm = float(np.linalg.norm((rows.xyz_mm - predicted_mm).mean(axis=0)))
-        says = f"tracker or robot moved between the files, by {shift_mm:.4g} mm there"
+        says = f"the tracker or the robot moved between the files, by {shift_mm:.4g} mm there"
         yield Supposed(says, back)
 
 
+def moved_amid(rows: Measurements, predicted_mm: Array) -> Iterator[Supposed]:
+    """Yield rows whose frame changed before one of them, later ones moved back: one or none.
+
+    That row splits them into two small motions from predicted positions (N, 3), by linear least
+    squares with weights that fade, so that what they explain is greatest.
+    """
+    least, clearly, size_mm = 8, 3.0, 1000.0  # rows of each part
+    if rows.distance_mm is not None or len(rows) < 2 * least:
+        return
+    J = motion_levers((predicted_mm - predicted_mm.mean(axis=0)) / size_mm)[..., :6]
+    missed_mm = left_mm = rows.xyz_mm - predicted_mm
+    first = 0
+    for _ in range(3):
+        lengths = lengths_mm(left_mm)
+        weight = 1.0 / (1.0 + (lengths / max(float(np.median(lengths)), LEAST_MM)) ** 2)
+        A = np.cumsum(np.einsum("n,nik,nil->nkl", weight, J, J), axis=0)
+        b = np.cumsum(np.einsum("n,nik,ni->nk", weight, J, missed_mm), axis=0)
+        A, b = np.stack([A[:-1], A[-1] - A[:-1]]), np.stack([b[:-1], b[-1] - b[:-1]])
+        motions = np.linalg.solve(A + 1e-6 * np.eye(6), b[..., None])[..., 0]
+        explained = np.sum(motions * b, axis=(0, 2))
+        first = int(np.argmax(explained[least - 1 : 1 - least])) + least
+        part = (np.arange(len(rows)) >= first).astype(int)
+        left_mm = missed_mm - np.einsum("nik,nk->ni", J, motions[part, first - 1])
+    later, xyz_mm = slice(first, None), rows.xyz_mm.copy()
+    with suppress(HilcellError):
+        before = rigid(predicted_mm[:first], xyz_mm[:first])
+        after = rigid(predicted_mm[later], xyz_mm[later])
+        xyz_mm[later] = apply(before @ inverse(after), xyz_mm[later])
+        moved_mm = float(np.median(lengths_mm(xyz_mm - rows.xyz_mm)[later]))
+        if moved_mm > clearly * float(np.median(lengths_mm(xyz_mm - apply(before, predicted_mm)))):
+            at = f"pose {rows.pose[first]}" + (f" (line {rows.lines[first]})" if rows.lines else "")
+            says = f"the tracker or the robot moved by {moved_mm:.3g} mm before {at}"
+            yield Supposed(says, replace(rows, xyz_mm=xyz_mm))
+
+
 def _of_a_list(robot: Robot, rows: Measurements) -> Iterator[Supposed]:
-    arm = robot.arm
-    for says, joints_rad in (*_joint_units(arm, rows.joints_rad), *_joints(arm, rows.joints_rad)):
+    arm, given_rad = robot.arm, rows.joints_rad
+    for says, joints_rad in (
+        *_joint_units(arm, given_rad), *_joints(arm, given_rad), *_columns(arm, rows),
+        *_out_of_step(rows),
+    ):  # fmt: skip
         yield Supposed(says, replace(rows, joints_rad=joints_rad))
-    in_rad = next(_joint_units(arm, rows.joints_rad))[1]
+    in_rad = next(_joint_units(arm, given_rad))[1]
     what = "positions" if rows.distance_mm is None else "distances"
     for unit, factor in (
         ("metres", 1000.0), ("centimetres", 10.0), ("inches", 25.4),
@@ -232,8 +290,6 @@ def _of_a_list(robot: Robot, rows: Measurements) -> Iterator[Supposed]:
         yield Supposed(says, replace(rows, target=target))
     for says, anchor in _exchanged("anchors", rows.anchor):
         yield Supposed(says, replace(rows, anchor=anchor))
-    for says, joints_rad in _out_of_step(rows):
-        yield Supposed(says, replace(rows, joints_rad=joints_rad))
 
 
 def _joint_units(arm: Arm, joints_rad: Array) -> Iterator[tuple[str, Array]]:
@@ -274,6 +330,82 @@ def _joints(arm: Arm, joints_rad: Array) -> Iterator[tuple[str, Array]]:
         for offset_deg in (90.0, -90.0, 180.0):
             shift = np.where(np.arange(count) == axis, np.radians(offset_deg), 0.0)
             yield f"the zero of joint {axis + 1} is off by {offset_deg:g} deg", joints_rad + shift
+
+
+class _Columns(NamedTuple):
+    """The column of each joint, from 0, and the factor of its values."""
+
+    order: tuple[int, ...]
+    factors: tuple[float, ...]
+
+    def read(self, joints_rad: Array) -> Array:
+        return joints_rad[:, self.order] * self.factors
+
+    def others(self, turning: Sequence[int]) -> Iterator[_Columns]:
+        """Columns that differ by one sign, unit or exchange of revolute joints."""
+        for n, given in enumerate(self.factors):
+            may_turn = n in turning and abs(given) == 1.0
+            for by in (-1.0, np.degrees(1.0), np.radians(1.0)) if may_turn else (-1.0,):
+                factors = (*self.factors[:n], float(given * by), *self.factors[n + 1 :])
+                yield _Columns(self.order, factors)
+        for a, b in combinations(turning, 2):
+            other = {self.order[a]: self.order[b], self.order[b]: self.order[a]}
+            yield _Columns(tuple(other.get(n, n) for n in self.order), self.factors)
+
+    @property
+    def says(self) -> str:
+        parts = []
+        for n, (column, factor) in enumerate(zip(self.order, self.factors, strict=True)):
+            if column != n or factor != 1.0:
+                size, turned = abs(factor), " reversed" if factor < 0.0 else ""
+                unit = "" if size == 1.0 else f" in {'radians' if size > 1.0 else 'degrees'}"
+                parts.append(f"column j{column + 1} is joint {n + 1}{turned}{unit}")
+        return ", ".join(sorted(parts))
+
+
+def _columns(arm: Arm, rows: Measurements) -> Iterator[tuple[str, Array]]:
+    """Yield joint columns read with other signs, units and order, several at once.
+
+    Each reading is judged by ``A x + b = f + F p``, linear in base (A, b) and reflectors p, for
+    measured positions x and flanges (F, f); the best readings are changed further.
+    """
+    most_rows, most_changes, width, named, equal = 60, 3, 40, 3, 2.0
+    some = rows.at(range(0, len(rows), len(rows) // most_rows + 1))
+    targets = sorted(set(some.target))
+    of_row, which = np.arange(len(some)), np.array([targets.index(each) for each in some.target])
+    design = np.zeros((len(some), 3, 12 + 3 * len(targets)))
+    for axis in range(3):
+        design[:, axis, 3 * axis : 3 * axis + 3] = some.xyz_mm - some.xyz_mm.mean(axis=0)
+        design[:, axis, 9 + axis] = MM
+    size = design.shape[2]
+    if 3 * len(some) < 2 * size or not np.isfinite(design).all():
+        return
+
+    def half_mm(columns: _Columns) -> float:
+        flange = forward(arm, columns.read(some.joints_rad))
+        for axis in range(3):
+            design[of_row, :, 12 + 3 * which + axis] = -MM * flange[:, :3, axis]
+        A, b = design.reshape(-1, size), flange[:, :3, 3].ravel()
+        x = np.linalg.lstsq(A, b, rcond=1e-9)[0]
+        mirrored = not np.linalg.det(x[:9].reshape(3, 3)) > 0.0
+        return np.inf if mirrored else float(np.median(lengths_mm((A @ x - b).reshape(-1, 3))))
+
+    turning = np.flatnonzero(arm.turning).tolist()
+    given = _Columns(tuple(range(len(arm))), (1.0,) * len(arm))
+    left_mm, best, count = {given: half_mm(given)}, [given], {given: 0}
+    for changes in range(1, most_changes + 1):
+        least_mm = left_mm[best[0]]
+        found = {each for columns in best for each in columns.others(turning)} - {*left_mm}
+        left_mm |= {columns: half_mm(columns) for columns in sorted(found)}
+        count |= dict.fromkeys(found, changes)
+        best = sorted(left_mm, key=lambda columns: left_mm[columns])[:width]
+        if least_mm <= min(LEFT_MM, equal * left_mm[best[0]]):
+            break
+    most_mm = min(LEFT_MM, equal * left_mm[best[0]])
+    fitting = [columns for columns in best if left_mm[columns] <= most_mm]
+    fewest = min((count[columns] for columns in fitting), default=0)
+    for columns in [each for each in fitting if count[each] == fewest != 0][:named]:
+        yield columns.says, columns.read(rows.joints_rad)
 
 
 def _exchanged(what: str, labels: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
