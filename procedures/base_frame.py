@@ -9,6 +9,7 @@ import numpy as np
 from hilcell.calibration.changes import risen_nest, since_before
 from hilcell.calibration.diagnosis import misplaced_base
 from hilcell.calibration.frames import axis_6_height_mm, axis_circle, frame_of_sweeps, sweep_of
+from hilcell.calibration.known_arm import slipped_mount
 from hilcell.cell.devices import abilities
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import base_frame_covariance
@@ -79,6 +80,11 @@ class BaseFrame:
                 session.pause(
                     f"suspected: {suspicion.text}; correct the nest or its reflector and start a "
                     "new run, or correct the cell file, or revoke that run's calibration"
+                )
+            elif (slipped := slipped_mount(session.log)) is not None:
+                session.pause(
+                    f"suspected: {slipped.text}; seat the reflector and start a new run; if the "
+                    "mount or the zero of axis 6 is another one, run calibrate without --from"
                 )
             elif (since := since_before(session.log)) is not None:
                 session.pause(

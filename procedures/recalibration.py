@@ -7,7 +7,7 @@ measured; the arm is followed by a few poses (`procedures.robot_grid.ChosenPoses
 from __future__ import annotations
 
 from hilcell.calibration.grid import measured_errors
-from hilcell.calibration.known_arm import carried_arm, carried_calibration
+from hilcell.calibration.known_arm import carried_arm, carried_calibration, mount_since
 from hilcell.calibration.lookup import NoCalibration, calibration_named, record_of
 from hilcell.cell.file import Cell
 from hilcell.identification.known_arm import Followed, KnownArm, in_units
@@ -64,7 +64,7 @@ class CarriedArm:
         calibration = carried_calibration(log)
         if calibration is None:
             return {}
-        found = followed(log)
+        found, mount = followed(log), mount_since(log)
         return {
             "known_arm": Change(
                 calibration=calibration.provenance.latest,
@@ -74,13 +74,15 @@ class CarriedArm:
                 gain=found.gear[0],
                 most_gain=found.most_gain,
                 changed=found.changed,
+                mount_mm=None if mount is None else mount.shift_mm,
             )
         }
 
 
 class Change(StepResult, frozen=True, kw_only=True):
     """The poses' chi^2 over its degrees of freedom, the gain of likelihood by a gear's scatter,
-    both with their limits, and what has changed by name: rad, mm, or a ratio.
+    both with their limits, and what has changed by name: rad, mm, or a ratio. ``mount_mm``: by how
+    much the reflector has moved on the flange, None where the earlier run swept other circles.
     """
 
     calibration: str
@@ -90,6 +92,7 @@ class Change(StepResult, frozen=True, kw_only=True):
     gain: float
     most_gain: float
     changed: dict[str, float]
+    mount_mm: float | None
 
     @property
     def text(self) -> str:

@@ -53,6 +53,7 @@ from hilcell.calibration.frames import (
 from hilcell.calibration.from_run import learnt_so_far
 from hilcell.calibration.influence import SIZE, NoBound, motion, nearest_semidefinite
 from hilcell.calibration.instrument import axis_off, scale
+from hilcell.calibration.known_arm import slipped_mount
 from hilcell.calibration.lost_motion import lost_too_much
 from hilcell.calibration.measurement_budget import systematic_mm2
 from hilcell.calibration.position_errors import (
@@ -698,6 +699,7 @@ def suspected_causes(log: Log) -> list[Suspicion]:
     changed = SecondVisits(log, REVISIT).cause or SecondVisits(log, CLOSING).cause
     large = [
         mount_offset(log),
+        slipped_mount(log),
         lost_too_much(log),
         *([changed] if changed else uncovered_targets(log)),
     ]

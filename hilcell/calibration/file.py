@@ -46,7 +46,7 @@ from hilcell.model.verdicts import Judged
 from hilcell.ports import Array, HilcellError
 from hilcell.sanitize import counted
 
-SCHEMA = 5  # to be raised whenever `Calibration` changes, or what its fields mean
+SCHEMA = 6  # to be raised whenever `Calibration` changes, or what its fields mean
 SEAL = "seal"
 NAMED = 5  # targets that one message names
 
@@ -88,6 +88,15 @@ class LostMotion(msgspec.Struct, frozen=True):
     lost_rad: list[float]
     u_rad: list[float]
     measured: bool
+
+
+class Circle(msgspec.Struct, frozen=True):
+    """Points of one of the base's circles: commanded joints (N, 6), and positions (N, 3) in the {B}
+    that the circles made.
+    """
+
+    joints_deg: list[list[float]]
+    at_mm: list[tuple[float, float, float]]
 
 
 class ModelEntry(msgspec.Struct, frozen=True):
@@ -141,7 +150,7 @@ class Targets(msgspec.Struct, frozen=True):
 
 
 class Calibration(msgspec.Struct, frozen=True, dict=True):
-    """The file; ``targets`` were measured by later runs.
+    """The file; ``targets`` were measured by later runs, ``circles`` of axes 1 and 6 by its own.
 
     ``verdicts``: of the validation by place, none without validation; ``failed``: other failed
     verdicts of the run as text, suspicions included.
@@ -158,6 +167,7 @@ class Calibration(msgspec.Struct, frozen=True, dict=True):
     lost_motion: LostMotion
     verdicts: dict[str, Judged]
     failed: dict[str, str]
+    circles: list[Circle] = []
     targets: Targets | None = None
 
     @property

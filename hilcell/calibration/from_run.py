@@ -15,6 +15,7 @@ from hilcell.calibration.file import SCHEMA, Calibration, ModelEntry, Validity, 
 from hilcell.calibration.frames import Frames
 from hilcell.calibration.grid import learnt_points, measured_errors, measured_grid
 from hilcell.calibration.influence import MEASURED, Influence, moved_frame
+from hilcell.calibration.known_arm import base_circles, carried_calibration
 from hilcell.calibration.lookup import used_calibration
 from hilcell.calibration.lost_motion import lost_motion
 from hilcell.calibration.recheck import Judgement, RecheckErrors
@@ -38,7 +39,7 @@ def calibration_from_log(log: Log, run: str) -> Calibration:
     grid = lattice.grid
     if fit is None:
         raise LookupError("the run has not reached the fit")
-    method = fit.method
+    method, carried = fit.method, carried_calibration(log)
     devices = [
         Device(each.device, each.model, each.serial, each.kind, each.maker, each.firmware)
         for each in log.assets
@@ -56,6 +57,7 @@ def calibration_from_log(log: Log, run: str) -> Calibration:
             log.inputs.job, f"hilcell {__version__}", written_now(),
             sign is not None and sign.holds,
             log.inputs.versions, devices, [point.key for point in points], fit.loocv,
+            arm_from="" if carried is None else carried.provenance.latest,
             links="factory" if log.by_factory_links else "cell file",
         ),
         "validity": Validity(
@@ -76,6 +78,7 @@ def calibration_from_log(log: Log, run: str) -> Calibration:
         "lost_motion": lost_motion(log),
         "verdicts": validation_verdicts(log),
         "failed": other_failed_verdicts(log),
+        "circles": base_circles(log),
     }  # fmt: skip
     return typed(msgspec.to_builtins(values), Calibration)
 

@@ -33,7 +33,7 @@ from hilcell.journal.log import Log
 from hilcell.journal.runs import CALIBRATION, JOURNAL, is_run, read_log
 from hilcell.model.calibration import Provenance
 from hilcell.model.events import CalibrationUsed
-from hilcell.model.verdicts import Rechecked
+from hilcell.model.verdicts import Fitted, Rechecked
 from hilcell.ports import HilcellError
 
 CURRENT = "current"  # names the current calibration, as no name does
@@ -153,7 +153,7 @@ def with_calibration(
     used = CalibrationFile.named(named, runs)
     calibration, status = used.calibration, used.status
     carries = table == "plan"  # the arm alone: frames and corrections are measured again
-    reasons = [*_foreign(used, cell, table, carries=carries)]
+    reasons = [*_exchanged(used)] or [*_foreign(used, cell, table, carries=carries)]
     if carries and not reasons:
         reasons += unfit(calibration, cell)
     if reasons:  # first: nothing accepts that of another cell
@@ -162,7 +162,7 @@ def with_calibration(
         calibration,
         datetime.now(UTC),
         max_age_days=math.inf,  # its age and the temperature are why it is checked
-        limits=tolerance_limits(cell),
+        limits=None if carries else tolerance_limits(cell),  # the arm is what it was in any case
         accept_out_of_tolerance=accept_out_of_tolerance,
         status=None if carries and status and status.to_redo else status,
         accept_not_current=accept_not_current,
@@ -326,6 +326,30 @@ def _later_unread(folder: Path, readable: Collection[str]) -> Iterator[str]:
 def _unproven(row: RunRow) -> CalibrationStatus:
     ended = "made no calibration by its journal" if row.finished else f"is {row.condition}"
     return CalibrationStatus("in doubt", "", f"its run {ended}")
+
+
+def _exchanged(used: CalibrationFile) -> Iterator[str]:
+    """Yield why a run's calibration file is that of another run, by its journal."""
+    folder = used.path.parent
+    with suppress(StorageError):  # of a journal that cannot be read the status says so
+        if is_run(folder) and not _wrote(read_log(folder), used.calibration):
+            yield (
+                f"{CALIBRATION} in {folder} is not the one that this run wrote, by its journal; "
+                f"restore the run's own, or name run {used.calibration.provenance.latest} itself"
+            )
+
+
+def _wrote(log: Log, calibration: Calibration) -> bool:
+    """Whether a run has made or updated a calibration as its file says. One that has done neither
+    is judged by its status.
+    """
+    made, fit, used = calibration.provenance, log.verdict(Fitted), calibration_in(log)
+    if fit is not None:
+        own, there = (msgspec.json.encode(each) for each in (fit.loocv, made.scores))
+        return own == there and not made.updates
+    if used is None:
+        return True
+    return [*used.provenance.updates] == made.updates[:-1] and made.run == used.provenance.run
 
 
 def _foreign(used: CalibrationFile, cell: Cell, table: str, *, carries: bool) -> Iterator[str]:

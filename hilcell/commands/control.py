@@ -80,7 +80,10 @@ def _watch(folder: Path, *, as_json: bool) -> int:
         return EXIT_REFUSED
     log.take(first)
     name = encodable(folder.name)
-    output: RunOutput = JsonOutput(name) if as_json else ProgressOutput(folder, log.inputs.points)
+    known_arm, points = log.cell.plan.recalibrates, log.inputs.points
+    output: RunOutput = (
+        JsonOutput(name) if as_json else ProgressOutput(folder, points, known_arm=known_arm)
+    )
     with output:
         output.take(first)
         for record in records:

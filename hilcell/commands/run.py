@@ -84,7 +84,12 @@ def resume(args: Resume) -> int:
 
 def _performed(engine: Engine, *, as_json: bool) -> int:
     plan, log, name = engine.plan, engine.journal.log, engine.journal.run
-    output = JsonOutput(name) if as_json else ProgressOutput(plan.folder, plan.points)
+    known_arm = plan.cell.plan.recalibrates
+    output = (
+        JsonOutput(name)
+        if as_json
+        else ProgressOutput(plan.folder, plan.points, known_arm=known_arm)
+    )
     code, fault, unclosed = engine.run(output)
     output.close(code, log, fault)
     print_end(plan.folder, log, plan.procedure, output, fault)

@@ -34,7 +34,14 @@ from hilcell.journal.journal import Record
 from hilcell.journal.labels import verdict_label
 from hilcell.journal.log import Log
 from hilcell.journal.runs_folder import command_on
-from hilcell.model.events import Closed, CurveMeasured, FirstPassBegun, NoReadingOf, PromiseJudged
+from hilcell.model.events import (
+    ArmCarried,
+    Closed,
+    CurveMeasured,
+    FirstPassBegun,
+    NoReadingOf,
+    PromiseJudged,
+)
 from hilcell.model.plan import PlannedStep
 from hilcell.model.point import CONTROL, Point
 from hilcell.model.records import WAITING, StateChanged
@@ -90,7 +97,8 @@ class JsonOutput(RunOutput):
         self._run = run
 
     def print_record(self, record: Record) -> None:
-        self._write(record.event(self._run))
+        event, fact = record.event(self._run), record.fact
+        self._write(event | {"content": fact.summary} if isinstance(fact, ArmCarried) else event)
 
     def close(self, code: int, log: Log, fault: Exception | None) -> None:
         if log.end is None and not self._closed:
@@ -130,8 +138,10 @@ def progress_bar() -> Progress:
 class ProgressOutput(RunOutput):
     """Draws a progress bar on stderr."""
 
-    def __init__(self, folder: Path, points: int) -> None:
+    def __init__(self, folder: Path, points: int, *, known_arm: bool = False) -> None:
+        """``known_arm``: a re-calibration, which measures no grid."""
         super().__init__()
+        self._known_arm = known_arm
         self._folder, self._progress = folder, progress_bar()
         self._console = self._progress.console
         self._planned, self._measured = points, set[str]()
@@ -168,12 +178,16 @@ class ProgressOutput(RunOutput):
                 self._progress.update(self._task, description=harmless(f"{port} {promise}"))
                 if verdict == "broken":
                     self._print(f"{port} {promise}: broken: {why}")
+            case ArmCarried(run=run):
+                self._print(f"arm carried from {run}")
             case CurveMeasured(holds=False, summary=words):
                 self._print(words)
             case NoReadingOf(key=key, reason=reason, tries=tries):
                 self._print(f"{key}: {reason} (try {tries})")
 
     def _print_state(self, change: StateChanged) -> None:
+        if change.machine == "calibration" and change.to == "grid_measured" and self._known_arm:
+            return  # it follows a carried arm, by poses that come later
         if change.machine == "calibration":
             self._print(change.to.replace("_", " "))
         elif change.to == "checking":

@@ -19,7 +19,7 @@ from hilcell.commands.run_output import left_moving, print_suspected
 from hilcell.commands.signatures import Compare, Export, ListRuns, Report, Revoke, Show
 from hilcell.decoding import Json
 from hilcell.invariants import INVARIANTS, InvariantResult, Violation, check_invariants
-from hilcell.journal.calibration_status import CalibrationStatus
+from hilcell.journal.calibration_status import CalibrationStatus, descended_from
 from hilcell.journal.index import UNREADABLE, RunRow, clock_notes, find_run, read_index, row_of
 from hilcell.journal.journal import StorageError
 from hilcell.journal.log import RunJournal
@@ -83,9 +83,14 @@ def _local(begun: str) -> str:
     return "" if time is None else f"{time.astimezone():%Y-%m-%d %H:%M %Z}"
 
 
+def _procedure(row: RunRow) -> str:
+    carried = encodable(row.facts.carried)
+    return f"{row.procedure} from {carried}" if carried else row.procedure
+
+
 LIST: tuple[Column[RunRow], ...] = (
     Column("run", lambda row: encodable(row.name)),
-    Column("procedure", attrgetter("procedure")),
+    Column("procedure", _procedure),
     Column("cell", attrgetter("cell")),
     Column("operator", attrgetter("operator")),
     Column("state", lambda row: row.condition if row.readable else row.state),
@@ -119,6 +124,7 @@ def _summary(row: RunRow, status: CalibrationStatus | None) -> Json:
     return {
         "run": name,
         "procedure": row.procedure,
+        "from": encodable(row.facts.carried) or None,
         "cell": row.cell,
         "state": row.condition,
         "points": row.points,
@@ -172,9 +178,9 @@ def show(args: Show) -> int:
         print_json(summary)
         return 0
     shown = (
-        "procedure", "cell", "simulated", "operator", "job", "seed", "machine_seed", "points",
-        "calibration", "accepted", "sessions", "link", "link_warning", "fault", "not_at_rest",
-        "exit",
+        "procedure", "from", "cell", "simulated", "operator", "job", "seed", "machine_seed",
+        "points", "calibration", "accepted", "sessions", "link", "link_warning", "fault",
+        "not_at_rest", "exit",
     )  # fmt: skip
     rows = [(name, str(summary[name])) for name in shown if summary.get(name) not in ("", None)]
     rows.append(("state", summary["state"]))
@@ -355,14 +361,24 @@ def revoke(args: Revoke) -> int:
             journal.close()
     status = calibration_status(folder.resolve().with_name(facts.used) if redo else folder)
     current = status.current if status else ""
+    rows = read_index(folder.parent)
+    known = calibration_statuses(folder.parent, rows)
+    rest = [] if redo else descended_from(rows, folder.name)
     if args.json:
-        print_json({"run": folder.name, "reason": args.reason, "current": current or None})
+        head: Json = {"run": folder.name, "reason": args.reason, "current": current or None}
+        states = {encodable(row.name): known[row.name].state for row in rest}
+        print_json(head | ({"descended": states} if states else {}))
         return 0
     machine = f" ({status.machine})" if status and status.machine else ""
     none = f"{cell}{machine} has no current calibration now"
     now = f"the current one is {current}" if current else none
     what = "verdict redo" if redo else "calibration"
     print_message(f"the {what} of run {folder.name} is revoked; {now}")
+    for row in rest:
+        kin = f"has the arm of {row.facts.carried}" if row.facts.carried else "is based on it"
+        print_message(f"that of run {encodable(row.name)} {kin}: {known[row.name].text}")
+    if any(row.facts.carried and known[row.name].state != "revoked" for row in rest):
+        print_message("revoke these too if the reason is the arm, its gears or its reflector")
     return 0
 
 

@@ -103,6 +103,18 @@ class KnownArm:
     def typical(self) -> Array:
         return np.array([each.typical for each in self.components])
 
+    def misses(self, readings: Readings) -> tuple[Array, Array]:
+        """Positions of the first reflector, the only one read at N poses, less their prediction
+        (N, 3), and the covariance (3N, 3N) of that, in the earlier {B}.
+        """
+        found = self.kinematics.linearised(self.state, readings.joints_rad)
+        size, by_joint = 3 * len(readings), found.by_joint[:, :1]
+        own = self.noise.covariance(by_joint, readings.covariance_mm2, readings.known)
+        A = found.by_parameter[:, 0].reshape(size, -1)
+        C = (A @ (AGED * self.covariance) @ A.T).reshape(-1, 3, len(readings), 3)
+        C[np.arange(len(readings)), :, np.arange(len(readings)), :] += own
+        return readings.xyz_mm[:, 0] - found.positions_mm[:, 0], C.reshape(size, size)
+
     def followed(self, readings: Readings) -> Followed:
         """Return the arm as it is now; raises `ArmChanged`."""
         struck, found = np.zeros_like(readings.known), self._followed(readings)

@@ -21,15 +21,17 @@ class CalibrationFacts(msgspec.Struct, frozen=True, kw_only=True):
     """``kind`` is the origin of the run's calibration: measured, or an earlier one with base,
     targets or a station's base changed; "" is none. ``used`` is the run of the calibration that it
     used, ``validated`` whether places were validated and all pass, ``recheck`` the verdict on the
-    used one, ``doubt`` another explanation of its update. ``revoked`` is the reason of the run's
-    revocation. ``suspected``: a suspected cause was not cleared; ``judged``: the robot was compared
-    with limits; ``outcome`` is that of all verdicts, None where nothing was judged and no check
-    failed. ``changed_since`` is the run of a calibration from which this one differs, if nothing
-    else is against it: an operator decides which is right.
+    used one, ``doubt`` another explanation of its update. ``carried`` is the run whose arm a
+    re-calibration has. ``revoked`` is the reason of the run's revocation. ``suspected``: a
+    suspected cause was not cleared; ``judged``: the robot was compared with limits; ``outcome`` is
+    that of all verdicts, None where nothing was judged and no check failed. ``changed_since`` is
+    the run of a calibration from which this one differs, if nothing else is against it: an operator
+    decides which is right.
     """
 
     kind: Kind = ""
     used: str = ""
+    carried: str = ""
     validated: bool = False
     recheck: Literal["", "valid", "update", "redo"] = ""
     doubt: str = ""
@@ -52,7 +54,7 @@ class CalibrationFacts(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def facts_of(
-    verdicts: Mapping[str, Verdict], used: str = "", revoked: str = ""
+    verdicts: Mapping[str, Verdict], used: str = "", revoked: str = "", carried: str = ""
 ) -> CalibrationFacts:
     all_of = list(verdicts.values())
     broken = [each for each in all_of if not each.holds]
@@ -73,6 +75,7 @@ def facts_of(
     return CalibrationFacts(
         kind=kind,
         used=used,
+        carried=carried,
         validated=validated,
         recheck="" if recheck is None else recheck.verdict,
         doubt="" if recheck is None else recheck.doubt,

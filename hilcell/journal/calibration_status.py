@@ -119,6 +119,18 @@ def measured_by(rows: Iterable[RunRow], name: str) -> str:
     return runs.origins(runs.known[runs.copies.get(name, name)])[-1].name
 
 
+def descended_from(rows: Iterable[RunRow], name: str) -> list[RunRow]:
+    """Return the runs of calibrations that rest on the one of the run ``name``: updates of it,
+    re-calibrations from it, and so on, in their order.
+    """
+    found, names = list[RunRow](), {name}
+    for row in in_order(row for row in rows if row.readable and row.calibrates):
+        if {row.facts.used, row.facts.carried} & names:
+            found.append(row)
+            names.add(row.name)
+    return found
+
+
 class _Runs:
     """The runs that measured, by their names.
 

@@ -38,14 +38,20 @@ from hilcell.journal.journal import (
     StorageError,
 )
 from hilcell.journal.runs import JOURNAL, is_run, live_engine, read_records, run_folders, unusable
-from hilcell.model.events import CalibrationRevoked, CalibrationUsed, Connected, SessionOrdered
+from hilcell.model.events import (
+    ArmCarried,
+    CalibrationRevoked,
+    CalibrationUsed,
+    Connected,
+    SessionOrdered,
+)
 from hilcell.model.plan import FolderOrder, PlanRecord
 from hilcell.model.records import OVER, Ended, RunState, StateChanged
 from hilcell.model.results import Place
 from hilcell.model.verdicts import Verdict
 
 NAME = "index.sqlite"
-SCHEMA = 11  # increase it whenever `RunRow` or the meaning of its fields changes
+SCHEMA = 12  # increase it whenever `RunRow` or the meaning of its fields changes
 BUSY_S = 2.0  # wait for another writer; then the journals are read instead
 SETTLED_S = 3.0  # file times have a resolution of up to 2 s
 UNREADABLE, NEVER_BEGAN = "unreadable", "never began"  # states that no journal holds
@@ -346,6 +352,7 @@ def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
     orders += [FolderOrder(each.folder, each.number, each.after) for each in ordered]
     verdicts = {record.key: each for record, each in _facts(facts, Verdict)}
     used = ["", *(each.run for _, each in _facts(facts, CalibrationUsed))]
+    carried = ["", *(each.run for _, each in _facts(facts, ArmCarried))]
     revoked = ["", *(each.reason for _, each in _facts(facts, CalibrationRevoked))]
     devices = [device for _, each in _facts(facts, Connected) for device in each.devices]
     before_mean_mm, chosen_mean_mm, chosen_max_mm = _figures(
@@ -374,7 +381,7 @@ def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
         before_mean_mm=before_mean_mm,
         chosen_mean_mm=chosen_mean_mm,
         chosen_max_mm=chosen_max_mm,
-        facts=facts_of(verdicts, used[-1], revoked[-1]),
+        facts=facts_of(verdicts, used[-1], revoked[-1], carried[-1]),
         order=orders[-1],
     )
 

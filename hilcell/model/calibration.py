@@ -50,8 +50,8 @@ class Provenance(msgspec.Struct, frozen=True):
 
     ``points``: journal keys of the grid; ``scores``: mean, p95 and max (mm) of each candidate's
     cross-validation. ``run`` measured the model, ``updates`` are later runs, ``written`` is the
-    last change. ``links``: those with which the controller solves Cartesian points, from the cell
-    file or its own factory.
+    last change. ``arm_from``: the run whose arm a re-calibration has. ``links``:
+    those with which the controller solves Cartesian points, from the cell file or its own factory.
     """
 
     run: str
@@ -68,6 +68,7 @@ class Provenance(msgspec.Struct, frozen=True):
     points: list[str]
     scores: dict[str, dict[str, float]]
     updates: list[Update] = []
+    arm_from: str = ""
     links: Literal["cell file", "factory"] = "cell file"
 
     @property
@@ -76,8 +77,9 @@ class Provenance(msgspec.Struct, frozen=True):
 
     @property
     def named(self) -> str:
-        based = f" (based on run {self.run})" if self.updates else ""
-        return f"run {self.latest}{based}"
+        based = [f"based on run {self.run}"] if self.updates else []
+        based += [f"re-calibrated from run {self.arm_from}"] if self.arm_from else []
+        return f"run {self.latest}" + (f" ({', '.join(based)})" if based else "")
 
     @property
     def is_of_visit(self) -> bool:

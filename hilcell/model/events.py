@@ -4,11 +4,12 @@
 
 from __future__ import annotations
 
+import hashlib
 from math import nan, sqrt
 from typing import ClassVar, TypeAlias
 
 import msgspec
-from msgspec import field
+from msgspec import field, json
 
 from hilcell.decoding import Json
 from hilcell.identity import Identity
@@ -582,6 +583,19 @@ class ArmCarried(Event, frozen=True, kw_only=True, tag="arm carried"):
     run: str = ""
     file: str = ""
     content: Json = field(default_factory=dict)
+
+    @property
+    def summary(self) -> Json:
+        """The content as it is printed, which is 200 kB: its digest and its sizes."""
+        whole = json.encode(self.content, order="sorted")
+        model, made = self.content["model"]["parameters"], self.content["provenance"]
+        return {
+            "sha256": hashlib.sha256(whole).hexdigest(),
+            "written": made["written"],
+            "points": len(made["points"]),
+            "stations": [*self.content["stations"]],
+            "parameters": len(model["covariance"]),
+        }
 
 
 class CalibrationRevoked(Reasoned, frozen=True, kw_only=True, tag="calibration revoked"):

@@ -169,9 +169,9 @@ def budget_table(budget: Budget | None, targets: TargetBudget, hidden: Sequence[
         )
         rows = [*error_rows(budget), Row(ERROR_SUM, words, "", budget.u_mm, is_sum=True)]
     note = (
-        "Type A: from scatter that this run measured; B: from the certificate that is named, else "
-        "an assumption that the cell file states. Sensitivity 1: every source is a length at the "
-        "tool point. Sources are taken as independent."
+        "Type A: from measured scatter, of this run unless the line says otherwise; B: from the "
+        "certificate that is named, else an assumption that the cell file states. Sensitivity 1: "
+        "every source is a length at the tool point. Sources are taken as independent."
     )
     notes = [note]
     if not targets.missing:

@@ -519,9 +519,11 @@ class Certificate:
             return "Pose test after ISO 9283"
         if not self._calibrated():
             return "Measurement report"
+        again = "re-calibration" if facts.cell.plan.recalibrates else "calibration"
         if facts.inputs.simulated:
-            return "Simulated calibration"
-        return "Calibration certificate" if FirstPage(facts).certified() else "Calibration report"
+            return f"Simulated {again}"
+        certified = FirstPage(facts).certified()
+        return f"{again.capitalize()} {'certificate' if certified else 'report'}"
 
     def _calibrated(self) -> bool:
         return self.facts.log.calibration == "validated"

@@ -80,6 +80,9 @@ class _Timeline:
         log, last, known, lines = Log(), "", set[str](), list[Line]()
         step: Line | None = None  # in progress
         # of the next session, and written before it
+        carried = {
+            each.name for each in self.facts.log.inputs.steps if each.note and not each.points
+        }
         before_it_goes_on = (SessionOrdered, ChangesAccepted)
         for record in self.facts.records:
             fact, starts = record.fact, self._starts(record.fact)
@@ -88,7 +91,8 @@ class _Timeline:
             lines += [Line(record.t, each, self._stops(fact)) for each in self._words(log, fact)]
             if isinstance(fact, StepBegun):
                 step, moves = lines[-1], fact.name == "home"  # at every start
-                optional = fact.name.startswith("two-face")  # a plan may leave it out
+                # a plan may leave it out, a re-calibration carries what it yields
+                optional = fact.name.startswith("two-face") or fact.name in carried
                 step.idle = optional or (fact.name in known and not moves)
                 known.add(fact.name)
             step = None if starts else step

@@ -273,7 +273,7 @@ class NewEngine(Engine):
             **plan.procedure.inputs(cell, plan.steps),
             **self._before,
             cell_file=cell_file(order.cell),
-            seed=order.seed,
+            seed=plan.seed,
             machine_seed=plan.machine_seed,
             replayed=is_replay(cell),
             speed=None if speed is None or math.isinf(speed) else speed,

@@ -21,6 +21,7 @@ from hilcell.calibration.recheck import KIND as RECHECK
 from hilcell.calibration.recheck import RecheckResult
 from hilcell.decoding import Json, typed
 from hilcell.errors import EXIT_REFUSED, RESUMABLE, exit_code, facts_of
+from hilcell.identification.known_arm import ArmChanged
 from hilcell.journal.calibration_facts import NOT_JUDGED
 from hilcell.journal.disk_space import shortage
 from hilcell.journal.labels import verdict_label, with_labels
@@ -34,6 +35,7 @@ from hilcell.sanitize import counted, encodable, harmless
 
 RECHECKED = {"valid": "STILL VALID", "update": "UPDATED", "redo": "CALIBRATE AGAIN"}
 MOST_REASONS = 2
+USELESS = (RecordingEnded.code, ArmChanged.code)  # to resume: the same points would say the same
 DEFAULT_CELL = "paper"  # of the commands
 
 
@@ -108,7 +110,7 @@ def _faulted(log: Log, folder: Path, error: Json, code: int) -> _Words:
     refused = code == EXIT_REFUSED
     kept = "nothing has moved" if refused and not log.moved else _progress(log)
     ends = any(entry.then == "new run" for entry in entries)
-    lost = ends and any(each.startswith("HC-J") or each == RecordingEnded.code for each in codes)
+    lost = ends and any(each.startswith("HC-J") or each in USELESS for each in codes)
     if ends and not refused:
         commands.append(f"{_new_run(log, folder)} (a new run is advised)")
     if code in RESUMABLE and not lost:

@@ -34,6 +34,9 @@ if TYPE_CHECKING:
     from hilcell.run.run_plan import NewRun, ResumedRun
 
 
+USUAL_SEED = 1
+
+
 class Attendance(Signature):
     """The operator, a screen and a recording at a run."""
 
@@ -69,11 +72,12 @@ class Order(Signature):
         default=None,
         flags=("--from",),
     )
-    seed: int = option(
-        "seed of random targets, and of the simulated machine without --machine-seed (default: 1)",
+    seed: int | None = option(
+        "seed of random targets, and of the simulated machine without --machine-seed (default: 1; "
+        "of a re-calibration, one that follows from the calibration it starts from)",
         "N",
         parse_seed,
-        default=1,
+        default=None,
     )
     machine_seed: int | None = MACHINE_SEED
     runs: Path = RUNS
@@ -124,7 +128,12 @@ class Order(Signature):
         Nothing is opened, nothing is written, nothing moves. ``say`` takes warnings.
         """
         # `--help` does without these.
-        from hilcell.calibration.lookup import calibrated_machine, with_calibration
+        from hilcell.calibration.known_arm import seed_after
+        from hilcell.calibration.lookup import (
+            calibrated_machine,
+            calibration_named,
+            with_calibration,
+        )
         from hilcell.cell.devices import check_options, check_replay, load_entry, load_measured
         from hilcell.cell.differences import check_identity
         from hilcell.cell.file import located
@@ -150,6 +159,7 @@ class Order(Signature):
                 code="HC-C10",
             )
         accepted, machine = list[str](), self.machine_seed
+        seed = USUAL_SEED if self.seed is None else self.seed
         if uses := procedure.used_in(cell):
             cell, accepted, used = with_calibration(
                 cell, uses, self.runs, machine=machine,
@@ -158,12 +168,18 @@ class Order(Signature):
             )  # fmt: skip
             say("\n".join([used, *(f"accepted although {reason}" for reason in accepted)]))
             machine = run_plan.checked_machine_seed(machine, calibrated_machine(cell, uses))
+        machine = run_plan.machine_seed(cell, seed, machine)
+        if cell.plan.recalibrates and self.seed is None:
+            seed = seed_after(calibration_named(cell, uses))
+            say(
+                f"seed {seed}, from that calibration: other poses than those of --seed {USUAL_SEED}"
+            )
         try:
             check_options(cell)
         except SettingsError as error:
             raise located(self.cell, error.problems, settings) from None
-        steps = procedure.plan(cell, self.seed)
-        check_replay(cell, self.procedure, self.seed)
+        steps = procedure.plan(cell, seed)
+        check_replay(cell, self.procedure, seed)
         if not self.dry_run:
             check_space(self.runs, steps.points)
         return run_plan.NewRun(
@@ -173,7 +189,8 @@ class Order(Signature):
             points=steps.points,
             steps=steps,
             settings=settings,
-            machine_seed=run_plan.machine_seed(cell, self.seed, machine),
+            seed=seed,
+            machine_seed=machine,
             accepted=accepted,
         )
 

@@ -64,6 +64,7 @@ class NewRun(RunPlan):
 
     steps: Plan
     settings: Mapping[str, str]
+    seed: int
     machine_seed: int | None
     accepted: Sequence[str]
 

@@ -17,7 +17,7 @@ from fakes.truth.cell_truth import CellTruth
 from fakes.truth.machine import cell_machine
 from hilcell.calibration.file import Calibration, read_calibration, write_calibration
 from hilcell.calibration.from_run import calibration_from_log
-from hilcell.calibration.known_arm import unfit
+from hilcell.calibration.known_arm import seed_after, unfit
 from hilcell.cell.file import Cell, load_cell
 from hilcell.decoding import Json, typed
 from hilcell.identification.known_arm import ArmChanged
@@ -68,11 +68,12 @@ def again(base: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, L
 class Changed(CellTruth):
     """The machine, whose arm was worked on."""
 
-    zero_rad, gear = 0.0, 0
+    zero_rad, gear, slip_mm = 0.0, 0, (0.0, 0.0, 0.0)
 
     def __init__(self, cell: Cell, seed: int, time: CellTime, faults: Faults) -> None:
         super().__init__(cell, seed, time, faults)
         self.arm.lost_rad[1] += self.zero_rad
+        self._slip_pose[:3, 3] += self.slip_mm
         if self.gear:
             other = Ripple(cell_machine(cell).transmission, np.random.default_rng(99))
             for row in ("amplitude_rad", "cycles", "phase_rad"):
@@ -101,6 +102,8 @@ def test_it_is_planned_in_five_minutes_and_accepted(
     assert validation["S1100"]["chosen"]["mean"] < 0.06
     known = result["known_arm"]
     assert (known["calibration"], known["poses"], known["changed"]) == ("BASE", 14, {})
+    assert known["mount_mm"] < 0.06
+    assert result["suspicions"] == []
     assert result["method"] == "kinematic"
     assert {"idw", "trilinear"} <= result["fit"]["refused"].keys()
     assert not log.select("grid")
@@ -125,7 +128,21 @@ def test_a_lost_zero_is_followed(base: Path, tmp_path: Path, changed: type[Chang
     _, result = performed(tmp_path, cell_from(base), 3)
     found = result["known_arm"]["changed"]
     assert found["zero of axis 2"] == pytest.approx(5e-4, rel=0.4)
+    assert result["suspicions"] == []  # the tool follows the arm
     assert result["validation"]["S1100"]["chosen"]["mean"] < 0.06
+
+
+@pytest.mark.parametrize("slip_mm", [(0.3, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.3)])
+def test_a_slipped_mount_is_suspected(
+    base: Path, tmp_path: Path, changed: type[Changed], slip_mm: tuple[float, float, float]
+) -> None:
+    """No target shows it: the correction follows the reflector, and the drill is off."""
+    changed.slip_mm = slip_mm
+    _, result = performed(tmp_path, cell_from(base), 3)
+    (found,) = result["suspicions"]
+    assert (found["cause"], found["noticed_by"]) == ("mount slipped", "circles of run BASE")
+    assert found["size"] == pytest.approx(0.3, abs=0.05)
+    assert result["known_arm"]["mount_mm"] == pytest.approx(0.3, abs=0.05)
 
 
 def test_another_gear_is_refused(base: Path, tmp_path: Path, changed: type[Changed]) -> None:
@@ -144,6 +161,14 @@ def test_a_chain_holds(again: tuple[Path, Log, Json], tmp_path: Path) -> None:
     lines = [line for line in made.budget.lines if line.how.endswith(", in an earlier run")]
     assert [line.name for line in lines] == ["Robot repeatability", "Approach direction"]
     assert all(line.how.count("earlier") == 1 for line in lines)
+
+
+def test_links_of_a_chain_have_seeds_of_their_own(
+    base: Path, again: tuple[Path, Log, Json]
+) -> None:
+    first, second = read_calibration(base), read_calibration(again[0])
+    assert seed_after(first) == seed_after(read_calibration(base)) > 1
+    assert seed_after(second) != seed_after(first)
 
 
 def test_each_seed_goes_elsewhere(base: Path) -> None:

@@ -8,9 +8,12 @@ from pathlib import Path
 import pytest
 
 from campaigns.kills import killed
+from hilcell.calibration.file import read_calibration
+from hilcell.calibration.known_arm import seed_after
 from hilcell.journal.calibration_status import statuses
 from hilcell.journal.index import read_index
-from hilcell.journal.runs import CALIBRATION
+from hilcell.journal.runs import CALIBRATION, read_log
+from hilcell.model.events import ArmCarried
 from procedures.calibrate import CALIBRATE
 from tests.whole.bench import command, judge, ran, sets, simulation
 from tests.whole.golden import GoldenRuns
@@ -25,7 +28,8 @@ def refusal(runs: Path, *words: str | Path) -> str:
 
 
 def test_what_it_cannot_start_from_is_refused(golden: GoldenRuns, tmp_path: Path) -> None:
-    small, quick = golden["small"].copied_to(tmp_path), golden["quick"].copied_to(tmp_path)
+    small = golden["small"].copied_to(tmp_path / "small")
+    quick = golden["quick"].copied_to(tmp_path)
     assert "no curves of the gears (axis sweeps)" in refusal(tmp_path, "--from", small)
     assert "--full and --from: expected one of them" in refusal(tmp_path, "--from", quick, "--full")
     assert "--from (plan.calibration) is for calibrate" in refusal(
@@ -48,8 +52,14 @@ def test_what_it_cannot_start_from_is_refused(golden: GoldenRuns, tmp_path: Path
     tool = sets({"robot.smr_mm": "[99.0, 0.0, 127.0]"})
     assert "robot.smr_mm differs" in refusal(tmp_path, "--from", quick, *tool)
     assert "of simulated machine 1" in refusal(tmp_path, "--from", quick, "--machine-seed", "2")
+    looser = sets({"validation.mean_tolerance_mm": "0.1"})
+    planned = command("run", "--from", quick, *looser, "--runs", tmp_path, "--dry-run")
+    assert planned.returncode == 0, planned.stderr  # a tolerance is no part of the arm
     file = quick / CALIBRATION
     whole = file.read_text()
+    other = golden["calibration"].folder / CALIBRATION
+    file.write_bytes(other.read_bytes())
+    assert "is not the one that this run wrote" in refusal(tmp_path, "--from", quick)
     file.write_text(whole.replace('"sign_checked": true', '"sign_checked": false', 1))
     assert "its seal does not hold" in refusal(tmp_path, "--from", quick)
     content = json.loads(whole)
@@ -78,6 +88,13 @@ def test_killed_and_resumed_it_becomes_current(golden: GoldenRuns, tmp_path: Pat
     assert len(found.acknowledged) == len(set(found.acknowledged))
     (run,) = {row.name for row in read_index(tmp_path)} - {quick.name}
     assert statuses(read_index(tmp_path))[run].state == "current"
+    assert f"calibrate from {quick.name}" in command("runs", "--runs", tmp_path).stdout
+    shown = json.loads(command("show", run, "--runs", tmp_path, "--json").stdout)
+    assert shown["from"] == quick.name
+    made = read_calibration(tmp_path / run / CALIBRATION).provenance
+    assert made.named == f"run {run} (re-calibrated from run {quick.name})"
+    revoked = command("revoke", quick.name, "--reason", "bumped", "--runs", tmp_path).stderr
+    assert f"that of run {run} has the arm of {quick.name}: current" in revoked
 
 
 def test_a_redo_leads_to_it(golden: GoldenRuns, tmp_path: Path) -> None:
@@ -94,3 +111,25 @@ def test_a_redo_leads_to_it(golden: GoldenRuns, tmp_path: Path) -> None:
     assert "zero of axis 2" in done.result["known_arm"]["changed"]
     assert f"Changed since {quick.name}: zero of axis 2 by 0." in CALIBRATE.words(done.result)
     assert done.done.returncode in (0, 1), done.done.stderr
+
+
+def test_a_mount_that_slipped_before_it_is_named_at_once(
+    golden: GoldenRuns, tmp_path: Path
+) -> None:
+    quick = golden["quick"].copied_to(tmp_path)
+    with simulation() as cell:
+        cell.strike("robot.mount_slip", 0.3)
+        values = {"simulation.address": cell.control}
+        done = ran(tmp_path, "calibrate", values, "--from", quick.name, name="C")
+    (found,) = done.result["suspicions"]
+    assert (found["cause"], round(found["size"], 1)) == ("mount slipped", 0.3)
+    assert done.done.returncode == 1
+    seed = seed_after(read_calibration(quick / CALIBRATION))
+    assert read_log(tmp_path / "C").inputs.seed == seed  # none was stated
+    assert f"seed {seed}, from that calibration" in done.done.stderr
+    (carried,) = (each for each in done.events if each.get("what") == "arm carried")
+    assert carried["content"]["points"] == 8  # of the grid, in place of 200 kB
+    (whole,) = read_log(tmp_path / "C").happened(ArmCarried)
+    assert whole.content["provenance"]["run"] == quick.name
+    assert statuses(read_index(tmp_path))["C"].state == "suspected"
+    assert statuses(read_index(tmp_path))[quick.name].state == "current"

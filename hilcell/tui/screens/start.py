@@ -54,6 +54,7 @@ class Entries:
     seed: str
     speed: str
     attended: bool
+    start: str = ""
 
     @property
     def planned(self) -> Entries:
@@ -68,7 +69,8 @@ class Entries:
                 procedure=self.procedure,
                 operator=clean(self.operator),
                 job=clean(self.job),
-                seed=parse_seed(self.seed),
+                seed=parse_seed(self.seed) if self.seed else None,
+                start=clean(self.start) or None,
                 speed=parse_speed(self.speed) if self.speed else None,
                 attendance=Attendance(unattended=not self.attended),
                 settings=settings,
@@ -85,7 +87,8 @@ class StartScreen(BaseScreen):
         ("cell", "paper", "a built-in cell, or a TOML file"),
         ("operator", "", "recorded in the journal"),
         ("job", "", "recorded in the journal"),
-        ("seed", "1", "of random targets"),
+        ("seed", "", "of random targets"),
+        ("from", "", "re-calibrate: RUN or current"),
     )
     WATCHED = ("yes, I am here", "no, unattended")
     SPEEDS = ("max", "100", "10", "1")
@@ -217,9 +220,10 @@ class StartScreen(BaseScreen):
             procedure=self.query_one("#procedure", Choice).value,
             operator=texts["operator"],
             job=texts["job"],
-            seed=texts["seed"] or "1",
+            seed=texts["seed"],
             speed="" if speed == self.SPEEDS[0] else speed,
             attended=self.query_one("#attended", Choice).value == self.WATCHED[0],
+            start=texts["from"],
         )
 
     def order(self, entries: Entries) -> Order:

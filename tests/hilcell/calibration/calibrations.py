@@ -18,6 +18,7 @@ from hilcell.compensation.model_choice import MODELS
 from hilcell.geometry.frames import pose_from_zyx
 from hilcell.model.calibration import Device, Provenance, StationEntry
 from tests.hilcell.compensation import models
+from tests.hilcell.verdicts import FITTED
 
 LOW_MM = np.array([1400.0, -450.0, 500.0])
 PITCH_MM = 450.0
@@ -64,7 +65,7 @@ def calibration(
         {"hilcell": "0"},
         [Device("tracker", "a tracker", "T-1", "tracker", "", "")],
         ["grid/0-0-0"],
-        {"idw": {"mean": 0.2, "p95": 0.4, "max": 0.5}},
+        FITTED.loocv,
     )
     uncertainty = UncertaintyBudget(
         [

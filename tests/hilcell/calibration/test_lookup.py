@@ -26,7 +26,7 @@ from hilcell.cell.settings import SettingsError
 from hilcell.journal.index import read_index
 from hilcell.journal.journal import Journal, Record
 from hilcell.journal.log import Log
-from hilcell.journal.runs import CALIBRATION, JOURNAL
+from hilcell.journal.runs import CALIBRATION, JOURNAL, read_log
 from hilcell.model.events import CalibrationUsed
 from hilcell.model.verdicts import Rechecked
 from hilcell.ports import HilcellError
@@ -161,7 +161,8 @@ def test_a_cell_that_was_changed_keeps_its_calibration_but_for_what_that_rests_o
     if key:
         (vars(then[table]) if table else then)[field] = "other"
     made(tmp_path, "1-old", digest="d" * 64)
-    log = SimpleNamespace(cell=SimpleNamespace(**then))
+    own = read_log(tmp_path / "1-old")
+    log = SimpleNamespace(cell=SimpleNamespace(**then), verdict=own.verdict, events=own.events)
     monkeypatch.setattr(lookup, "read_log", lambda folder: log)
     if not key:
         assert with_calibration(using("1-old"), "recheck", tmp_path).accepted == []

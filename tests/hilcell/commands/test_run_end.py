@@ -109,6 +109,18 @@ def test_a_broken_promise_is_shown_at_once(capsys: pytest.CaptureFixture[str]) -
     assert said.count("3 mm off\n") == 1
 
 
+def test_a_re_calibration_does_not_say_that_it_measures_a_grid(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with ProgressOutput(Path("r"), 0, known_arm=True) as output:
+        output.print_record(Record(1, "", "event", "", {"what": "arm carried", "run": "base"}))
+        for to in ("base_framed", "grid_measured", "stations_framed"):
+            body = {"machine": "calibration", "to": to}
+            output.print_record(Record(2, "", "state", "", body))
+    said = capsys.readouterr().err
+    assert "arm carried from base\nbase framed\nstations framed\n" in said
+
+
 def test_watch_prints_the_fault_that_ended_a_run(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

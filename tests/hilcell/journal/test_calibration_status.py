@@ -6,7 +6,12 @@ import msgspec
 import pytest
 
 from hilcell.journal.calibration_facts import CalibrationFacts
-from hilcell.journal.calibration_status import CalibrationStatus, current_of, statuses
+from hilcell.journal.calibration_status import (
+    CalibrationStatus,
+    current_of,
+    descended_from,
+    statuses,
+)
 from hilcell.journal.index import RunRow
 
 REVOKED = CalibrationFacts(kind="base", used="01", doubt="a slip", revoked="it had slipped")
@@ -222,3 +227,11 @@ def test_a_copy_of_a_folder_supersedes_nothing_and_hides_no_revocation() -> None
         "01-old": "superseded by 02",
         "02": "current",
     }
+
+
+def test_what_descends_from_one_is_what_rests_on_it() -> None:
+    again = made("03", carried="02")
+    rows = [made("04"), again, row("05", kind="base", used="03"), made("01"), made("02")]
+    assert [each.name for each in descended_from(rows, "02")] == ["03", "05"]
+    assert descended_from(rows, "05") == descended_from(rows, "04") == []
+    assert states(made("02", revoked="a bump"), again)["03"] == "current"  # its targets were sent

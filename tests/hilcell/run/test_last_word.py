@@ -14,6 +14,7 @@ from hilcell.cell.devices import ConnectFailed
 from hilcell.commands.cli import whole_parser
 from hilcell.errors import DeviceError, facts_of
 from hilcell.geometry.frames import FrameError
+from hilcell.identification.known_arm import ArmChanged
 from hilcell.journal.journal import StorageError
 from hilcell.journal.runs import read_log
 from hilcell.model.verdicts import Verdict
@@ -50,6 +51,11 @@ FAULTS: list[tuple[int, Exception | None, list[str], list[str]]] = [  # said, ne
     (
         7, StorageError("damaged", code="HC-J13"),
         ["damaged"], ["hilcell explain HC-J13", "{run} (a new run is advised)"],
+    ),
+    (
+        3, ArmChanged("another gear"),
+        ["FAULT HC-C27", "another gear"],
+        ["hilcell explain HC-C27", "{run} (a new run is advised)"],
     ),
     (
         3, RecordingEnded("it ends here"),

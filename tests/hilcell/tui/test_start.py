@@ -81,6 +81,21 @@ def test_who_runs_it_and_for_what_job_plans_nothing_again(monkeypatch: pytest.Mo
     assert {"--operator=Ann", "--job=J7"} <= set(engine[1])
 
 
+def test_a_re_calibration_is_a_field_of_the_form(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = planned(monkeypatch)
+
+    async def act(app: Stage, pilot: Press) -> None:
+        assert (asked[-1].start, asked[-1].seed) == (None, None)
+        app.screen.query_one("#from", Input).value = "current"
+        await press(pilot, "enter")
+        assert (asked[-1].start, asked[-1].seed) == ("current", None)
+        await press(pilot, "enter")
+
+    (engine,) = run_app(act, size=SIZE).engines
+    assert "--from=current" in engine[1]
+    assert not any(word.startswith("--seed") for word in engine[1])
+
+
 def test_a_plan_of_earlier_fields_is_never_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     waits: dict[str, asyncio.Event] = {}
 
