@@ -128,7 +128,7 @@ def test_a_mount_that_slipped_before_it_is_named_at_once(
     assert read_log(tmp_path / "C").inputs.seed == seed  # none was stated
     assert f"seed {seed}, from that calibration" in done.done.stderr
     (carried,) = (each for each in done.events if each.get("what") == "arm carried")
-    assert carried["content"]["points"] == 8  # of the grid, in place of 200 kB
+    assert carried["content"]["points"] == 27  # a summary in place of 200 kB
     (whole,) = read_log(tmp_path / "C").happened(ArmCarried)
     assert whole.content["provenance"]["run"] == quick.name
     assert statuses(read_index(tmp_path))["C"].state == "suspected"
