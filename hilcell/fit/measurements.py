@@ -213,6 +213,8 @@ def read_measurements(
             found += _rows(layout, text, line, cells) if cells else []
         except ValueError as error:
             problems.append(f"line {line}: {error}")
+    zeros, found = len(found), [row for row in found if any(row.measured_mm)]
+    zeros -= len(found)  # what some trackers write for a reflector that they do not see
     if not (found or problems):
         problems.append("no measured target follows the header")
     if problems:
@@ -222,6 +224,7 @@ def read_measurements(
         blank = len(text.rows) - 1 - len({row.line for row in found})
         unseen = f" ({counted(blank, 'line')} without a measurement)" if blank else ""
         sheet = f"{sheet}: " if sheet else ""
+        unseen += f" ({counted(zeros, 'position')} 0, 0, 0 taken as not seen)" if zeros else ""
         say(f"{path}: {sheet}{rows.counted}{unseen}; {layout.understood()}")
         for warning in _reused(rows):
             say(warning)
@@ -315,7 +318,8 @@ def _rows(columns: Columns, text: CsvText, line: int, cells: list[str]) -> list[
         if of_range and not measured[0] > 0.0:
             raise ValueError(f"{places[0].name} is {measured[0]:g}, expected more than 0")
         rows.append(_Row(line, pose, target, joints, measured, u_mm, turn, u_rad, anchor))
-        turn = []  # of a wide list's pose: it counts once
+        if any(measured):
+            turn = []  # of a wide list's pose: it counts once
     return rows
 
 

@@ -127,7 +127,8 @@ def _rows(sheet: ElementTree.Element, shared: list[str]) -> Rows:
             place = _place(cell.get("r", "")) if cell.get("r") else len(cells)
             cells += [""] * (place - len(cells)) + [_value(cell, shared)]
         rows.append((line, cells))
-    header = next((line for line, cells in rows if any(map(str.strip, cells))), 0)
+    # A line of one cell is a title.
+    header = next((line for line, cells in rows if sum(map(bool, map(str.strip, cells))) > 1), 0)
     for merged in _named(sheet, "mergeCell"):
         corners = re.findall(r"[0-9]+", merged.get("ref", ""))
         if corners and int(corners[0]) <= header <= int(corners[-1]):

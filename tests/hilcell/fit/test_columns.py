@@ -189,6 +189,7 @@ def test_a_workbook_is_read_by_its_first_sheet(tmp_path: Path) -> None:
     ("table", "merged", "says"),
     [
         (typed(TABLE), "B3:C3", "merged cells .*B3:C3"),
+        ([["Joints"], *typed(TABLE)], "B3:E3", "the header is in line 4; remove the lines before"),
         ([HEADER, ["1", "A", *["=1+1"] * 9]], "", "D4 is a formula without its result"),
         ([HEADER, ["1", "A", *["#N/A"] * 9]], "", "line 4: j1_deg is '#N/A'"),
     ],

@@ -98,6 +98,15 @@ def test_blanks_and_empty_lines_are_read_as_in_lists_of_holes(written: Write) ->
         np.testing.assert_array_equal(read.xyz_mm, plain.xyz_mm)
 
 
+def test_a_reflector_at_zero_was_not_seen(written: Write) -> None:
+    line, said = LINE.split(","), list[str]()
+    unseen, on_an_axis = [*line[:-3], "0", "0.0", "0"], [*line[:-3], "0", "0", "5"]
+    lines = map(",".join, (HEADER, line, unseen, on_an_axis))
+    rows = read_measurements(written("\n".join(lines)), say=said.append)
+    assert rows.lines == [2, 4]
+    assert "(1 line without a measurement) (1 position 0, 0, 0 taken as not seen)" in said[0]
+
+
 def test_lines_without_a_measurement_and_reused_labels_are_said(written: Write) -> None:
     first, unseen = LINE.split(","), LINE.split(",")
     unseen[-3:] = ["", "", ""]
