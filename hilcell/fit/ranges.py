@@ -15,7 +15,7 @@ from hilcell.fit.measurements import Measurements
 from hilcell.fit.placement import ABSURD_MM, FitError, refuse_unknown_targets
 from hilcell.geometry.frames import apply_each, unit
 from hilcell.geometry.kinematics import Arm, Array, Ints, forward
-from hilcell.identification.kinematics import BASE, Kinematics
+from hilcell.identification.kinematics import BASE, Kinematics, State
 
 ACROSS_MM = 1000.0  # standard uncertainty of a position across its distance
 
@@ -70,33 +70,47 @@ class Anchors:
                 f"{rows.source}: no training row measures from anchor {unknown[0]}; correct its "
                 f"name, or measure from it in training rows; known: {', '.join(self.names)}"
             )
-        along, distance_mm = unit(self.lines(rows)[0]), _distances_mm(rows)[:, None]
-        anchors = self.x[: 3 * len(self.names)].reshape(-1, 3)
+        along, distance_mm = unit(self.lines(rows)), _distances_mm(rows)[:, None]
         outer = along[:, :, None] * along[:, None, :]
         own_mm2 = np.zeros(outer.shape) if rows.covariance_mm2 is None else rows.covariance_mm2
         return replace(
             rows,
-            xyz_mm=anchors[_numbers(rows.anchor, self.names)] + distance_mm * along,
+            xyz_mm=self.anchors_mm[_numbers(rows.anchor, self.names)] + distance_mm * along,
             covariance_mm2=outer @ own_mm2 @ outer + ACROSS_MM**2 * (np.eye(3) - outer),
             along=along,
         )
 
-    def lines(self, rows: Measurements) -> tuple[Array, Array]:
-        """Vectors from the anchors (N, 3), and their derivatives (N, 3, P)."""
+    def lines(self, rows: Measurements) -> Array:
+        """Vectors from the anchors (N, 3)."""
+        at_mm = self.kinematics.positions_mm(self._state, rows.joints_rad)
         which, anchor = _numbers(rows.target, self.targets), _numbers(rows.anchor, self.names)
-        each, free = np.arange(len(rows)), 3 * len(self.names)
-        start = self.kinematics.start(np.eye(4), np.zeros((len(self.targets), 3)))
-        state = self.kinematics.moved(start, np.concatenate([np.zeros(BASE), self.x[free:]]))
-        found = self.kinematics.linearised(state, rows.joints_rad)
-        by_parameter = np.zeros((len(rows), 3, len(self.x)))
+        return at_mm[np.arange(len(rows)), which] - self.anchors_mm[anchor]
+
+    def slopes(self, rows: Measurements) -> Array:
+        """The derivatives of distances (N, P)."""
+        each, free = np.arange(len(rows)), self.anchors_mm.size
+        which, anchor = _numbers(rows.target, self.targets), _numbers(rows.anchor, self.names)
+        found = self.kinematics.linearised(self._state, rows.joints_rad)
+        along, J = unit(self.lines(rows)), np.zeros((len(rows), len(self.x)))
         for axis in range(3):
-            by_parameter[each, axis, 3 * anchor + axis] = -1.0
-        by_parameter[..., free:] = found.by_parameter[each, which][..., BASE:]
-        return found.positions_mm[each, which] - self.x[:free].reshape(-1, 3)[anchor], by_parameter
+            J[each, 3 * anchor + axis] = -along[:, axis]
+        J[:, free:] = np.einsum("ni,nip->np", along, found.by_parameter[each, which][..., BASE:])
+        return J
+
+    @property
+    def anchors_mm(self) -> Array:
+        """The anchors (A, 3) in the root frame."""
+        return self.x[: 3 * len(self.names)].reshape(-1, 3)
+
+    @property
+    def _state(self) -> State:
+        start = self.kinematics.start(np.eye(4), np.zeros((len(self.targets), 3)))
+        others = self.x[self.anchors_mm.size :]
+        return self.kinematics.moved(start, np.concatenate([np.zeros(BASE), others]))
 
     def missed_mm(self, rows: Measurements) -> Array:
         """Measured minus predicted distances (N,)."""
-        return np.asarray(_distances_mm(rows) - np.linalg.norm(self.lines(rows)[0], axis=1))
+        return np.asarray(_distances_mm(rows) - np.linalg.norm(self.lines(rows), axis=1))
 
     def misses(self, rows: Measurements) -> Array:
         """Distances (N,) of rows from this robot."""
@@ -124,14 +138,23 @@ class Anchors:
             return np.concatenate([at(x).missed_mm(rows) / sigma, prior_root @ x])
 
         def slope(x: Array) -> Array:
-            lines, by_parameter = at(x).lines(rows)
-            J = np.einsum("ni,nip->np", unit(lines), by_parameter)[:, :size]
+            J = at(x).slopes(rows)[:, :size]
             return np.concatenate([-J / sigma[:, None], prior_root])
 
-        found = least_squares(
-            missed, self.x[:size], jac=slope, x_scale="jac", loss="soft_l1", f_scale=3.0
-        )
-        return at(found.x)
+        def scale(x: Array) -> float:  # at least 3; far from the distances, L1 would creep
+            return max(3.0, float(np.median(np.abs(missed(x)[: len(rows)]))))
+
+        x, rounds, steps, falling = self.x[:size], 8, 6, 0.9
+        far = scale(x)
+        for _ in range(rounds):
+            found = least_squares(
+                missed, x, jac=slope, x_scale="jac", loss="soft_l1", f_scale=far, max_nfev=steps
+            )
+            before, x = far, found.x
+            far = scale(x)
+            if found.success and far > falling * before:
+                break
+        return at(x)
 
 
 def _starts(
