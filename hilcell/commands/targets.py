@@ -31,6 +31,7 @@ from hilcell.fit.methods import (
 from hilcell.fit.robot_file import Robot
 from hilcell.fit.urdf_file import URDF, read_robot
 from hilcell.geometry.statistics import LEAST_BOUNDED
+from hilcell.identification.measured_poses import turn_middles
 from hilcell.present.table import Table, listed
 from hilcell.programs.corrected import UsableCalibration
 from hilcell.programs.holes import read_holes
@@ -188,6 +189,8 @@ def fit(args: Fit) -> int:
     if args.correct:
         inputs.append(Path(args.correct))
     fitted = fit_robot(robot, train, test)
+    for rows in filter(None, (train, test)):
+        _tell_of_turns(robot, train, rows)
     _check_arm(args, inputs)  # all is planned before a file is written
     more: dict[str, object] = {}
     if args.correct:
@@ -300,6 +303,16 @@ def _read(path: Path, columns: Mapping[str, str], robot: Robot) -> Measurements:
             "rows count once"
         )
     return once
+
+
+def _tell_of_turns(robot: Robot, train: Measurements, rows: Measurements) -> None:
+    middles_rad = turn_middles(train.joints_rad, robot.arm.turning != 0.0)
+    turned = rows.within_turns(middles_rad).joints_rad != rows.joints_rad
+    for joint in np.flatnonzero(turned.any(axis=0)):
+        print_message(
+            f"joint {joint + 1} of {rows.source} is a whole turn off in {turned[:, joint].sum()} "
+            f"of {len(rows)} rows: its errors are taken to repeat each turn"
+        )
 
 
 def _warn_of_shared(train: Measurements, test: Measurements) -> None:

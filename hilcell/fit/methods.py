@@ -37,6 +37,7 @@ from hilcell.fit.refusals import (
     refuse_unidentified,
     refuse_unplaced,
     undetermined,
+    untrained,
 )
 from hilcell.fit.repeats import averaged, lacking_mm2
 from hilcell.fit.robot_file import Robot
@@ -483,7 +484,7 @@ def fit_robot(robot: Robot, train: Measurements, test: Measurements | None = Non
     unknown, far = list[Undetermined](), list[Outlier]()
     if test is not None:
         judged, coverage, unknown, far = _tested(
-            robot, methods, test, best, chosen, limit_mm, anchors
+            robot, methods, kept, test, best, chosen, limit_mm, anchors
         )
         if reason := worse_than_nominal(chosen, judged):
             chosen = NOMINAL
@@ -691,6 +692,7 @@ def _limit_mm(nominal: Figures, arm: FittedArm | None) -> float:
 def _tested(
     robot: Robot,
     methods: Mapping[str, Method],
+    train: Measurements,
     test: Measurements,
     best: str | None,
     chosen: str,
@@ -714,7 +716,9 @@ def _tested(
     miss_mm = statistics.lengths_mm(test.seen_mm(test.xyz_mm - by_best.xyz_mm))
     beyond = 3.0  # bounds, 8 standard deviations
     refuse_gross(test, np.where(miss_mm <= beyond * by_best.bound95_mm, 0.0, miss_mm), mistake)
-    unknown = undetermined(test, by_best.bound95_mm, limit_mm if best else np.inf)
+    middles_rad = turn_middles(train.joints_rad, robot.arm.turning != 0.0)
+    outside = untrained(robot, train, test.within_turns(middles_rad))
+    unknown = undetermined(test, by_best.bound95_mm, limit_mm if best else np.inf, outside)
     known = np.setdiff1d(np.arange(len(test)), unknown)
     far = known[~(miss_mm[known] <= beyond * by_best.bound95_mm[known])]
     refuse_mistaken_test(test, far, miss_mm, mistake)
@@ -728,7 +732,8 @@ def _tested(
             coverage[name] = Coverage(share=share, bound_mm=float(bound_mm.mean()))
     if inside := coverage.get(chosen):
         share, bound95_mm = inside["share"], inside["bound_mm"]
-        refuse_contradicting(test, chosen, share, bound95_mm, figures[chosen].mean, mistake)
+        mean_mm = figures[chosen].mean
+        refuse_contradicting(test, chosen, share, bound95_mm, mean_mm, mistake, outside)
     named = [
         Undetermined(
             pose=test.pose[n], target=test.target[n], bound_mm=float(by_best.bound95_mm[n])

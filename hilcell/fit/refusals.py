@@ -11,12 +11,14 @@ import numpy as np
 from hilcell.compensation.interpolation import NEIGHBOURS
 from hilcell.fit.measurements import Measurements
 from hilcell.fit.placement import ABSURD_MM, CHECK_ROBOT, FitError
+from hilcell.fit.robot_file import Robot
 from hilcell.fit.suppositions import Mistake
 from hilcell.geometry.frames import FrameError
 from hilcell.geometry.kinematics import Array, Bools, Ints
 from hilcell.identification.estimate import LEAST_POSES, Estimate
 from hilcell.identification.measured_poses import (
     FOLDS,
+    SAME_RAD,
     IdentificationError,
     ManyContradict,
     pose_folds,
@@ -169,7 +171,20 @@ def _act(mistake: Mistake, act: str) -> str:
     return f"{act}; none of the {mistake.tried} mistakes tried explains all rows (docs/fit.md)"
 
 
-def undetermined(test: Measurements, bound_mm: Array, limit_mm: float) -> Ints:
+def untrained(robot: Robot, train: Measurements, test: Measurements) -> str:
+    """Which joints of most test rows lie outside the trained ranges, and by how much, or ""."""
+    clearly = 0.25  # of the trained range
+    low, high = train.joints_rad.min(axis=0), train.joints_rad.max(axis=0)
+    off_rad = np.maximum(low - test.joints_rad, test.joints_rad - high)
+    outside = off_rad > np.maximum(clearly * (high - low), SAME_RAD)
+    if np.count_nonzero(outside.any(axis=1)) <= len(test) / 2:
+        return ""
+    most, names = off_rad.max(axis=0) / robot.column_units, robot.joint_columns
+    listed = ", ".join(f"{names[n]} by {most[n]:.3g}" for n in np.flatnonzero(outside.any(axis=0)))
+    return f"most rows lie outside the trained joints, up to: {listed}; train there too"
+
+
+def undetermined(test: Measurements, bound_mm: Array, limit_mm: float, outside: str) -> Ints:
     """Test rows (U,) that the training rows do not determine: other orientations, off one line.
     Raises `FitError` where none is left.
     """
@@ -178,7 +193,7 @@ def undetermined(test: Measurements, bound_mm: Array, limit_mm: float) -> Ints:
         raise FitError(
             f"{test.source}: {len(bad)} of {len(test)} rows are not determined by the training "
             f"rows, expected 95 % bounds <= {limit_mm:.3g} mm: {_named(test, bad, bound_mm)}; "
-            "measure training poses with other orientations and places"
+            + (outside or "measure training poses with other orientations and places")
         )
     return bad
 
@@ -196,7 +211,7 @@ def refuse_mistaken_test(
 
 def refuse_contradicting(
     test: Measurements, chosen: str, share: float, bound_mm: float, mean_mm: float,
-    mistake: Explaining,
+    mistake: Explaining, outside: str,
 ) -> None:  # fmt: skip
     """Refuse test rows that violate the bounds: corrections would be as wrong."""
     if not share >= LEAST_INSIDE:
@@ -204,7 +219,7 @@ def refuse_contradicting(
             "the robot's state (zeros, load, temperature) or the tracker's set-up differ from the "
             "training rows'; measure both files in one state"
         )
-        act = _act(mistake(np.arange(len(test))), states)
+        act = _act(mistake(np.arange(len(test))), outside or states)
         raise FitError(
             f"{test.source}: {share:.1%} of {len(test)} rows are within the 95 % bounds "
             f"of {chosen} ({bound_mm:.4f} mm mean), expected >= {LEAST_INSIDE:.0%}; it "

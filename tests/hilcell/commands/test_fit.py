@@ -63,6 +63,15 @@ def test_a_urdf_gives_the_figures_of_its_dh_rows(folder: Path) -> None:
         assert found[1][method] == pytest.approx(figures, abs=1e-6)
 
 
+def test_rows_a_whole_turn_off_are_told(folder: Path) -> None:
+    rows = measured(1, 25, ["SMR1"])
+    assert "whole turn" not in fit(folder, "robot.toml").stderr
+    rows.joints_rad[[3, 9], 5] += 2.0 * np.pi
+    write_rows(folder / "test.csv", rows)
+    said = fit(folder, "robot.toml", "--test", folder / "test.csv").stderr
+    assert re.search(r"joint 6 of .*test\.csv is a whole turn off in 2 of 25 rows", said)
+
+
 def test_a_tip_is_one_of_a_urdf(folder: Path) -> None:
     assert fit(folder, "robot.urdf", "--tip", "link_6").returncode == 0
     for robot, tip in (("robot.urdf", "nose"), ("robot.toml", "tool0")):

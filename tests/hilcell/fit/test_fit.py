@@ -470,6 +470,14 @@ def test_one_orientation_is_predicted_and_others_are_refused() -> None:
             fit_robot(IRB120, train, shifted)
 
 
+@pytest.mark.parametrize("share", [0.02, 0.05])
+def test_test_rows_outside_the_trained_joints_are_told(share: float) -> None:
+    rows, test = measured(1, 60, ["SMR1"]), measured(2, 40, ["SMR1"])
+    near = measured_at(share * rows.joints_rad + 0.1, rows)
+    with pytest.raises(FitError, match=r"outside the trained joints, up to: j1_deg by [34]\d"):
+        fit_robot(IRB120, near, measured_at(test.joints_rad, test))
+
+
 def on_a_line(seed: int) -> Measurements:
     """Joint 1 turns by so little that the positions lie on one line; the rest stand still."""
     joints = np.tile([0.0, 0.2, -0.1, 0.3, 0.4, 0.1], (40, 1))
