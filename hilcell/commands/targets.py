@@ -310,8 +310,8 @@ def _tell_of_turns(robot: Robot, train: Measurements, rows: Measurements) -> Non
     turned = rows.within_turns(middles_rad).joints_rad != rows.joints_rad
     for joint in np.flatnonzero(turned.any(axis=0)):
         print_message(
-            f"joint {joint + 1} of {rows.source} is a whole turn off in {turned[:, joint].sum()} "
-            f"of {len(rows)} rows: its errors are taken to repeat each turn"
+            f"joint {joint + 1} of {rows.source}: {turned[:, joint].sum()} of {len(rows)} rows are "
+            "taken a whole turn nearer the training rows, as a joint's errors repeat each turn"
         )
 
 

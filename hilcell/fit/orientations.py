@@ -7,8 +7,9 @@ on the flange is unknown, as reflectors are.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
@@ -72,7 +73,7 @@ def refuse_misread(placement: Placement, rows: Measurements) -> None:
     """Refuse orientations that fit nominal ones clearly better if they are read otherwise, and
     those that are not the flange's at all.
     """
-    least, clearly, most_rad = 8, 3.0, np.radians(10.0)  # no arm errs so
+    least, clearly, most_rad = 8, 3.0, np.radians(2.0)  # no arm errs so
     count = len(points_of(rows, 1.0)) // 2
     if rows.R is None or count < least:
         return
@@ -106,18 +107,34 @@ def _readings(R: Array, turns: Array | None) -> Iterator[tuple[str, Array]]:
     elif turns is not None:
         for unit, factor in (("", 1.0), (" in deg", np.radians(1.0)), (" in rad", np.degrees(1.0))):
             v = factor * turns
-            x, y, z = (from_rotvec(v[:, [n]] * axis) for n, axis in enumerate(np.eye(3)))
-            x3, z1 = (from_rotvec(v[:, [n]] * axis) for n, axis in ((2, [1, 0, 0]), (0, [0, 0, 1])))
+            back = v[:, ::-1]
             readings += [
                 (f"rotation vectors{unit}", from_rotvec(v)),
-                (f"Rz(a) Ry(b) Rx(c), columns a, b, c{unit}", z1 @ y @ x3),
-                (f"Rz(yaw) Ry(pitch) Rx(roll), columns roll, pitch, yaw{unit}", z @ y @ x),
-                (f"Rx Ry Rz of the columns in order{unit}", x @ y @ z),
-                (f"Rz Ry Rz of the columns in order{unit}", z1 @ y @ z),
+                (f"Rz(a) Ry(b) Rx(c), columns a, b, c{unit}", _turned("zyx", v)),
+                (
+                    f"Rz(yaw) Ry(pitch) Rx(roll), columns roll, pitch, yaw{unit}",
+                    _turned("zyx", back),
+                ),
             ]
+            for axes in product("xyz", repeat=3):
+                if axes[0] != axes[1] != axes[2]:
+                    says = " ".join(f"R{axis}" for axis in axes)
+                    readings += [
+                        (f"{says} of the columns in order{unit}", _turned(axes, v)),
+                        (f"{says} of the columns in reverse order{unit}", _turned(axes, back)),
+                    ]
     for says, other in readings:
         yield says, other
         yield f"{says}{inverted}", np.swapaxes(other, 1, 2)
+
+
+def _turned(axes: Iterable[str], angles_rad: Array) -> Array:
+    """Products (N, 3, 3) of turns about axes by angles (N, 3)."""
+    first, second, third = (
+        from_rotvec(angles_rad[:, [n]] * np.eye(3)["xyz".index(axis)])
+        for n, axis in enumerate(axes)
+    )
+    return np.asarray(first @ second @ third)
 
 
 def scatter_rad(missed_mm: Array) -> float:

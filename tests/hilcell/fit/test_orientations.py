@@ -2,9 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from hilcell.fit.measurements import Measurements, rotations
 from hilcell.fit.methods import fit_robot
@@ -74,5 +76,25 @@ def test_the_convention_that_fits_is_named(
 def test_orientations_of_other_poses_are_refused() -> None:
     rows = oriented("abc", "abc")
     assert rows.R is not None
-    with pytest.raises(FitError, match=r"expected <= 10 deg; .*no unit"):
+    with pytest.raises(FitError, match=r"expected <= 2 deg; .*no unit"):
         fit_robot(IRB120, replace(rows, R=rows.R[::-1], turns=None))
+
+
+def test_orientations_that_scatter_without_uncertainty_are_refused() -> None:
+    rows = oriented("abc", "abc")
+    assert rows.R is not None
+    wrong = rows.R @ from_rotvec(np.random.default_rng(3).normal(0.0, np.radians(4.0), (30, 3)))
+    with pytest.raises(FitError, match="expected <= 2 deg"):
+        fit_robot(IRB120, replace(rows, R=wrong, turns=None))
+
+
+@pytest.mark.parametrize(
+    ("sequence", "named"),
+    [("ZXZ", "Rz Rx Rz of the columns in order"), ("zxy", "Ry Rx Rz of the columns in reverse")],
+)
+def test_any_order_of_angles_is_named(sequence: Literal["ZXZ", "zxy"], named: str) -> None:
+    rows = oriented("abc", "abc")
+    assert rows.R is not None
+    angles = Rotation.from_matrix(rows.R).as_euler(sequence)
+    with pytest.raises(FitError, match=f"they fit if they are {named}"):
+        fit_robot(IRB120, replace(rows, R=rotations("Z-Y-X angles", angles), turns=angles))
