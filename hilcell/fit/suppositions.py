@@ -231,7 +231,7 @@ def moved_amid(rows: Measurements, predicted_mm: Array) -> Iterator[Supposed]:
     That row splits them into two small motions from predicted positions (N, 3), by linear least
     squares with weights that fade, so that what they explain is greatest.
     """
-    least, clearly, size_mm = 8, 3.0, 1000.0  # rows of each part
+    least, share, clearly, size_mm = 8, 0.12, 3.0, 1000.0  # rows of each part, and their share
     if rows.distance_mm is not None or len(rows) < 2 * least:
         return
     J = motion_levers((predicted_mm - predicted_mm.mean(axis=0)) / size_mm)[..., :6]
@@ -248,6 +248,8 @@ def moved_amid(rows: Measurements, predicted_mm: Array) -> Iterator[Supposed]:
         first = int(np.argmax(explained[least - 1 : 1 - least])) + least
         part = (np.arange(len(rows)) >= first).astype(int)
         left_mm = missed_mm - np.einsum("nik,nk->ni", J, motions[part, first - 1])
+    if min(first, len(rows) - first) < share * len(rows):
+        return  # sorted rows end in a corner, where a robot errs in its own way
     later, xyz_mm = slice(first, None), rows.xyz_mm.copy()
     with suppress(HilcellError):
         before = rigid(predicted_mm[:first], xyz_mm[:first])
@@ -387,8 +389,9 @@ def _columns(arm: Arm, rows: Measurements) -> Iterator[tuple[str, Array]]:
             design[of_row, :, 12 + 3 * which + axis] = -MM * flange[:, :3, axis]
         A, b = design.reshape(-1, size), flange[:, :3, 3].ravel()
         x = np.linalg.lstsq(A, b, rcond=1e-9)[0]
-        mirrored = not np.linalg.det(x[:9].reshape(3, 3)) > 0.0
-        return np.inf if mirrored else float(np.median(lengths_mm((A @ x - b).reshape(-1, 3))))
+        if columns != given and not np.linalg.det(x[:9].reshape(3, 3)) > 0.0:
+            return np.inf  # a left-handed frame is supposed of columns as they are
+        return float(np.median(lengths_mm((A @ x - b).reshape(-1, 3))))
 
     turning = np.flatnonzero(arm.turning).tolist()
     given = _Columns(tuple(range(len(arm))), (1.0,) * len(arm))

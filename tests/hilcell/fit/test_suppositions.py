@@ -10,6 +10,7 @@ from hilcell.fit.measurements import Measurements
 from hilcell.fit.methods import fit_robot
 from hilcell.fit.placement import FitError
 from hilcell.fit.robot_file import Robot
+from hilcell.fit.suppositions import moved_amid
 from hilcell.geometry.frames import apply, pose_from_zyx
 from hilcell.geometry.kinematics import Arm
 from tests.hilcell.fit.test_fit import IRB120, measured, measured_at, turned_alike
@@ -102,6 +103,15 @@ def test_a_tracker_that_moved_amid_the_rows_is_named_with_the_row(
     named = f"moved by .* mm before pose {1000 + poses} .line {2 + 2 * poses}.:"
     with pytest.raises(FitError, match=f"they fit if the tracker or the robot {named}"):
         fit_robot(IRB120, rows)
+
+
+def test_a_few_rows_far_from_the_others_are_no_moved_tracker() -> None:
+    rows = measured(1, 96, ["SMR1"])
+    predicted_mm = rows.xyz_mm.copy()
+    rows.xyz_mm[88:] += [1.0, -1.0, 1.0]
+    assert not list(moved_amid(rows, predicted_mm + 0.02))
+    rows.xyz_mm[80:88] += [1.0, -1.0, 1.0]
+    assert len(list(moved_amid(rows, predicted_mm + 0.02))) == 1
 
 
 def some(change: Spoil, of: Sequence[int]) -> Spoil:
