@@ -80,9 +80,9 @@ def explaining(
     with suppress(HilcellError, np.linalg.LinAlgError):
         own = learn(arm, given)
         as_they_are = max(as_they_are, _likelihood(own(given))[0])
-    found, none = list[Explained](), Mistake("", 0)
+    found, count = list[Explained](), 0
     for says, changed, other, factor in supposed:
-        none = replace(none, tried=none.tried + 1)
+        count += 1
         with suppress(HilcellError, np.linalg.LinAlgError):
             if other is not None:
                 found.append(Explained(says, *_likelihood(learn(other, given)(given))))
@@ -94,16 +94,16 @@ def explaining(
             found += tried.of_most()
     best = max((each.likelihood for each in found), default=-np.inf)
     if not best > as_they_are + 2.0 * SURE:
-        return none
+        return Mistake("", count)
     # Of suppositions that change the same labels the first is named.
     equal: dict[float, Explained] = {}
     for each in found:
         if each.likelihood > best - SURE:
             equal.setdefault(each.likelihood, each)
     if not all(each.left_mm <= LEFT_MM for each in equal.values()):
-        return none
+        return Mistake("", count)
     named = dict.fromkeys(each.says for each in equal.values())
-    return replace(none, says=", or ".join(islice(named, most_named)))
+    return Mistake(", or ".join(islice(named, most_named)), count)
 
 
 def _tried(rows: Measurements, bad: Ints) -> list[int]:
