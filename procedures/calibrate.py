@@ -24,7 +24,7 @@ from procedures.world_frame import Home, TwoFaces, WorldFrame
 def words(result: Result) -> str:
     lines = []
     if "known_arm" in result:
-        lines += [text] if (text := typed(result["known_arm"], Change).text) else []
+        lines.append(typed(result["known_arm"], Change).text)
     for where, place in list(typed(result.get("validation", {}), dict[str, Place]).items())[:1]:
         before, after = place.before.orientation, place.chosen.orientation
         if before is not None and after is not None:

@@ -96,9 +96,14 @@ class Change(StepResult, frozen=True, kw_only=True):
 
     @property
     def text(self) -> str:
-        """The changes in words; "" where there are none."""
+        """The changes in words, and what was not compared."""
         said = [f"{name} by {in_units(name, size)}" for name, size in self.changed.items()]
-        return f"Changed since {self.calibration}: {', '.join(said)}." if said else ""
+        text = f"Unchanged since {self.calibration}: the arm, by {self.poses} poses."
+        if said:
+            text = f"Changed since {self.calibration}: {', '.join(said)}."
+        if self.mount_mm is None:
+            text += " The reflector's mount was not compared: other circles were swept then."
+        return text
 
 
 def arm_in(log: Log) -> KnownArm:

@@ -24,6 +24,7 @@ from hilcell.cell.file import Cell
 from hilcell.compensation.kinematic import Kinematic
 from hilcell.compensation.model_choice import MODELS
 from hilcell.geometry.frames import matrix, zyx_from_pose
+from hilcell.identification.known_arm import in_units
 from hilcell.journal.calibration_facts import SUSPECTED
 from hilcell.journal.labels import in_zone, period_text
 from hilcell.model.outcome import RULE, Outcome, gravest, outcome_of
@@ -301,13 +302,15 @@ class FirstPage:
         most = max_stations(cell)
         names = ", ".join(stations[:most])
         more = f" and {len(stations) - most} more" if len(stations) > most else ""
+        carried = carried_calibration(self.facts.log)
+        of = "" if carried is None else f", re-calibrated from {carried.provenance.latest}"
         parties = cell.certificate
         laboratory = parties.laboratory, parties.laboratory_address
         customer = parties.customer, parties.customer_address
         return [
             Fact("Laboratory", ", ".join(filter(None, laboratory))),
             Fact("Customer", ", ".join(filter(None, customer))),
-            Fact("Run", self.facts.run),
+            Fact("Run", f"{self.facts.run}{of}"),
             Fact("Job", self.facts.inputs.job),
             Fact("Cell", f"{cell.name}, serial {cell.serial}"),
             Fact("Robot", f"{cell.robot.name}{serial}, {on}"),
@@ -551,9 +554,11 @@ class Certificate:
         places = " and ".join(f"{count} {places}" for places, count in counts.items() if count)
         phrases = [f"{measured} measured by laser tracker at {places} at {facts.cell.grid.station}"]
         if (carried := carried_calibration(log)) is not None:
+            run, found = carried.provenance.latest, facts.result.get("known_arm", {"changed": {}})
+            since = [f"{name} by {in_units(name, size)}" for name, size in found["changed"].items()]
             phrases.append(
-                f"the arm, its gears' errors and its repeatability known from the calibration of "
-                f"run {carried.provenance.latest}"
+                "the arm, its gears' errors and its repeatability known from the calibration of "
+                f"run {run}" + (f", changed since: {', '.join(since)}" if since else "")
             )
         if log.curves:
             fit, axes = log.verdict(Fitted), "axes" if len(log.curves) > 1 else "axis"

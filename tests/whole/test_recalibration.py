@@ -110,6 +110,10 @@ def test_a_redo_leads_to_it(golden: GoldenRuns, tmp_path: Path) -> None:
         done = ran(tmp_path, "calibrate", values, "--from", quick.name, "--seed", "3", name="C")
     assert "zero of axis 2" in done.result["known_arm"]["changed"]
     assert f"Changed since {quick.name}: zero of axis 2 by 0." in CALIBRATE.words(done.result)
+    page = tmp_path / "report.html"
+    assert command("report", "C", "-o", page, "--runs", tmp_path).returncode == 0
+    method = " ".join(page.read_text("utf-8").split())
+    assert f"calibration of run {quick.name}, changed since: zero of axis 2 by 0." in method
     assert done.done.returncode in (0, 1), done.done.stderr
 
 
