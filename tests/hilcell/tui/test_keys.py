@@ -256,7 +256,7 @@ async def test_text_goes_into_the_field_that_a_tab_before_it_chose(
     type_ahead(app, "tab", *name, "tab", *job, "down", "2")
     await settle(pilot)
     assert isinstance(app.screen, StartScreen)
-    entries = {"cell": "paper", "operator": "Harold Smith", "job": "Job 7", "seed": "2"}
+    entries = {"cell": "paper", "operator": "Harold Smith", "job": "Job 7", "seed": "2", "from": ""}
     assert values(app) == entries
 
 
@@ -318,7 +318,7 @@ async def test_a_scanned_code_moves_nothing_and_leaves_nothing(
 @on_screen()
 async def test_choices_follow_the_keys_before_them(app: Stage, pilot: Press) -> None:
     type_ahead(
-        app, "home", "end", *["down"] * 3, "up", *["tab"] * 4, "space", "tab", "right", "down"
+        app, "home", "end", *["down"] * 3, "up", *["tab"] * 5, "space", "tab", "right", "down"
     )
     await settle(pilot)
     assert [each.index for each in app.screen.query(Choice)] == [1, 1, 2]
