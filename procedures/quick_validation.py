@@ -21,7 +21,8 @@ the exponential on. Then ``P(e > L / c) >= share^(1 / c)`` where P(e > L) is the
 ``P(e > m) >= exp(-1)`` where the mean is m or more (Barlow and Proschan 1965, "Mathematical Theory
 of Reliability", chapter 2), so that eight targets within half the maximum and within the mean's
 limit show both. These bets and those above share one stake; the poses that the model did not learn
-from decide before the first target whether they are made.
+from decide before the first target whether they are made, and they are given up, stake and gain, at
+the first error that stands out among the station's own.
 """
 
 from __future__ import annotations
@@ -248,9 +249,18 @@ class SequentialRule:
         beyond = np.exp(-1.0)  # the least probability of an error above the limit of the mean
         made = 0.52 * self._all_within(errors, self.mean_limit_mm, beyond)  # eight are enough
         some = np.where(errors <= self.mean_limit_mm, beyond / (1.0 - beyond), -1.0)
-        made += 0.3 * np.exp(np.cumsum(np.log1p(0.7 * some))) + 0.18 * self._made(gains)
-        won: Bools = made >= 1.0 / self.accept_risk
+        made += 0.3 * np.exp(np.cumsum(np.log1p(0.7 * some)))
+        won: Bools = self._light(errors) * made + 0.18 * self._made(gains) >= 1.0 / self.accept_risk
         return won
+
+    def _light(self, errors: Array) -> Bools:
+        """Return after each error (N,) whether none has stood out at the end of a block."""
+        light = np.ones(len(errors), dtype=np.bool_)
+        for end in range(self.block, len(errors) + 1, self.block):
+            if not errors[:end].max() <= LIGHT * np.median(errors[:end]):
+                light[end - 1 :] = False
+                break
+        return light
 
     def _seldom_above(self, errors: Array) -> Bools:
         """Return after each error (N,) whether the share above the maximum is shown to be less."""
