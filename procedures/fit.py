@@ -17,7 +17,7 @@ from hilcell.calibration.position_errors import position_errors
 from hilcell.cell.file import Cell
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.grid import Grid
-from hilcell.compensation.kinematic import Kinematic, curves_used
+from hilcell.compensation.kinematic import curves_used
 from hilcell.compensation.model import Measured
 from hilcell.compensation.model_choice import MODELS, chosen
 from hilcell.decoding import typed
@@ -99,14 +99,7 @@ def fitted(log: Log) -> Fitted:
 
 
 def _tail(name: str, measured: Measured) -> float:
-    """Return the largest over the median of the errors at poses left out, or struck out."""
-    model, poses = MODELS[name].learn(measured), measured.poses
-    struck = model.outliers if isinstance(model, Kinematic) else []
-    errors_mm = MODELS[name].left_out_mm(measured)
-    if struck:
-        beyond_mm = model.predict(poses.nominal).error_mm - poses.error_mm
-        errors_mm = np.concatenate([errors_mm, beyond_mm[struck]])
-    sizes_mm = lengths_mm(errors_mm)
+    sizes_mm = MODELS[name].left_out_sizes_mm(measured)
     return float(sizes_mm.max() / np.median(sizes_mm))
 
 

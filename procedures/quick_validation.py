@@ -95,7 +95,9 @@ def decision_at(log: Log, station: str) -> Decision:
 
 
 def tail(log: Log) -> float | None:
-    """Return the largest over the median of the errors at poses left out; None where unknown."""
+    """Return the largest over the median of the errors at poses left out, each by its uncertainty;
+    None where unknown.
+    """
     fitted = log.verdict(Fitted)
     return None if fitted is None else fitted.tail
 
@@ -160,7 +162,7 @@ def rule_of(tail: float | None) -> str:
     """Return for which errors the test holds, and why."""
     if tail is None:
         return "test for errors of any distribution"
-    shown = f"the largest error at poses left out is {tail:.1f} times their median"
+    shown = f"the largest error at poses left out is {tail:.1f} times their median, by uncertainty"
     if tail <= LIGHT:
         return f"test for errors of rising hazard rate: {shown}, at most {LIGHT:g}"
     return f"test for errors of any distribution: {shown}, not at most {LIGHT:g}"

@@ -172,7 +172,7 @@ class ChosenPoses:
             return PlannedStep(self.name, 0, 0.0)
         known = cell.plan.recalibrates
         joints_rad = planned_rad(cell, seed) if known else candidates_rad(cell)[:least]
-        joints_rad = joints_rad[nearest_next(cell, joints_rad)]
+        joints_rad = joints_rad[plan.nearest_next(cell, joints_rad)]
         measured = plan.flange_points(cell, joints_rad, seats=True)
         points = len(joints_rad) * len(cell.robot.seats_mm)
         return PlannedStep.of_spans(self.name, points, [measured, *plan.closing(cell)])
@@ -204,7 +204,7 @@ class ChosenPoses:
             found = Design([], [])
             session.add(NoPosesChosen(reason=str(error), error=error.facts()))
         chosen = joints_rad[found.chosen]
-        chosen_deg = np.degrees(chosen[nearest_next(session.cell, chosen)])
+        chosen_deg = np.degrees(chosen[plan.nearest_next(session.cell, chosen)])
         session.add(PosesChosen(joints_deg=chosen_deg.tolist(), bounds_mm=found.bounds_mm))
 
     def result(self, log: Log) -> Result:
@@ -233,7 +233,7 @@ def planned_rad(cell: Cell, seed: int) -> Array:
     """Return the joints (N, 6) of the poses that a re-calibration will choose, in their order."""
     joints_rad, found = telling(cell, known_arm(calibration_named(cell, TABLE)), seed)
     chosen = joints_rad[found.chosen]
-    return chosen[nearest_next(cell, chosen)]
+    return chosen[plan.nearest_next(cell, chosen)]
 
 
 def chosen_rad(log: Log) -> Array:
@@ -261,16 +261,6 @@ def candidates_rad(cell: Cell) -> Array:
     drawn = _evenly_spread(CANDIDATES, 6)
     drawn[::2, 3:] = 0.5
     return _drivable_rad(cell, drawn, max(cell.plan.turn_deg, cell.plan.tilt_deg))
-
-
-def nearest_next(cell: Cell, joints_rad: Array) -> list[int]:
-    """Return the order of joints (N, 6): after each the one that takes the robot the least time."""
-    here_rad, left, order = np.radians(cell.robot.safe_deg), list(range(len(joints_rad))), []
-    while left:
-        moves_s = plan.robot_moves_s(cell, here_rad, joints_rad[left])
-        order.append(left.pop(int(np.argmin(moves_s))))
-        here_rad = joints_rad[order[-1]]
-    return order
 
 
 def judged_rad(cell: Cell) -> Array:

@@ -70,7 +70,7 @@ def touch_spans(cell: Cell, station: Station) -> list[Span]:
         return []
     poses = plan.poses_at(cell, touch_targets_mm(cell, station))
     joints_rad = plan.check_targets(cell, station, poses, f"touch pose at {station.name}")
-    return [plan.flange_points(cell, joints_rad)]
+    return [plan.flange_points(cell, joints_rad[plan.nearest_next(cell, joints_rad)])]
 
 
 def touch_once(session: CellSession, station: Station, model: ErrorModel) -> None:
@@ -85,6 +85,7 @@ def touch_once(session: CellSession, station: Station, model: ErrorModel) -> Non
 def _touch(session: CellSession, station: Station, model: ErrorModel) -> None:
     cell, log = session.cell, session.log
     targets_mm, T_W_B = touch_targets_mm(cell, station), session.frames.base_in_world(station)
+    targets_mm = targets_mm[plan.nearest_next(cell, plan.joints_for(cell, targets_mm))]
     poses = plan.poses_at(cell, targets_mm)
     joints_rad = plan.joints_for(cell, corrected(grid_of(cell), poses, model))
     nominal_mm = apply(T_W_B, targets_mm)

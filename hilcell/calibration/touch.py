@@ -62,14 +62,9 @@ def beside_nest(cell: Cell, station: Station, points_mm: Array) -> Bools:
     return np.asarray(~(chords.min(axis=1) > 2.0 * np.sin(apart_rad / 2.0)))
 
 
-def touch_count(cell: Cell) -> int:
-    """Return the number of touch poses, on a quick plan hardly more than tell the base."""
-    return min(cell.touch.poses, 5) if cell.plan.quick else cell.touch.poses
-
-
 def touch_targets_mm(cell: Cell, station: Station) -> Array:
     """Touch targets (N, 3) in {B} through the cube, if possible not beside a nest."""
-    count = touch_count(cell)
+    count = cell.touch.poses
     spare = 4  # places for each touch pose, for those that are passed over
     number = np.arange(spare * count)[:, None]
     # Roots of x^4 = x + 1: steps by them fill a cube evenly, however many are taken.
@@ -87,7 +82,7 @@ def touch_targets_mm(cell: Cell, station: Station) -> Array:
 def touch_ids(cell: Cell, station: Station, visit: int) -> list[PointId]:
     return [
         PointId("touch", station=station.name, visit=visit, number=n)
-        for n in range(touch_count(cell))
+        for n in range(cell.touch.poses)
     ]
 
 

@@ -117,8 +117,8 @@ class PlanTable(Frozen, frozen=True, kw_only=True):
     share_above_max: Share = 0.1
     most_targets: Annotated[int, Meta(ge=BLOCK, le=1000)] = 96
     bound_mm: Size = 0.06
-    least_poses: Annotated[int, Meta(ge=0, le=100)] = 27
-    most_poses: Annotated[int, Meta(ge=0, le=100)] = 27
+    least_poses: Annotated[int, Meta(ge=0, le=100)] = 23
+    most_poses: Annotated[int, Meta(ge=0, le=100)] = 23
     turn_deg: Annotated[float, Meta(ge=0, le=45)] = 15.0
     tilt_deg: Annotated[float, Meta(ge=0, le=45)] = 0.0
     prove_every: Annotated[int, Meta(ge=10, le=1000)] = 100

@@ -25,7 +25,7 @@ from hilcell.compensation.model import (
 from hilcell.decoding import Json, typed
 from hilcell.geometry.frames import is_rotation, to_rotvec
 from hilcell.geometry.inverse import NominalRobot
-from hilcell.geometry.kinematics import Arm, Array
+from hilcell.geometry.kinematics import Arm, Array, Ints
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.identification.estimate import (
     Estimate,
@@ -44,6 +44,7 @@ from hilcell.model.verdicts import CurvesUsed
 MOST_MM, MOST_RAD = 1e5, 1e3  # beyond is no robot's length or angle
 LARGE_AXES = 3  # whose errors have levers of metres
 LEAST_LEVER_MM = 10.0  # that tells a load
+ORDERS = (1, 2, 3)  # waves a revolution of each joint that static poses settle
 CLEARLY = 0.98  # of the mean miss of poses left out, for more parameters to be taken
 
 
@@ -185,6 +186,24 @@ class Kinematic(LearntModel):
         """Predicted minus measured (M, 3), each fifth pose left out, without outliers."""
         return -_left_out_mm(_identified(_arm(measured))[0])
 
+    @classmethod
+    def left_out_sizes_mm(cls, measured: Measured) -> Array:
+        """Lengths (M,) of the errors at poses left out or struck out: each in the standard
+        deviations of its prediction, times that of an error at this pose once it is learnt.
+
+        A corner is uncertain while it is left out, and errors along one line scatter more than those
+        in all directions: neither is a heavy tail of targets.
+        """
+        arm = _arm(measured)
+        estimate = _identified(arm)[0]
+        there_mm, learnt_mm2 = (each[:, 0] for each in estimate.predict(arm.readings.joints_rad))
+        missed_mm, covariance_mm2 = (each[:, 0] for each in estimate.left_out(_folds(estimate)))
+        struck = estimate.outliers[:, 0]
+        missed_mm[struck] = (arm.readings.xyz_mm[:, 0] - there_mm)[struck]
+        covariance_mm2[struck] = learnt_mm2[struck]
+        whitened = np.linalg.solve(np.linalg.cholesky(covariance_mm2), missed_mm[..., None])
+        return lengths_mm(whitened[..., 0]) * np.sqrt(np.trace(learnt_mm2, axis1=1, axis2=2) / 3.0)
+
     def predict(self, poses: Array) -> Prediction:
         """Return the errors at nominal poses (N, 4, 4) in {B}; raises `ReachError`."""
         known = (self.kinematics, self.state, self.covariance, self.noise)
@@ -239,8 +258,8 @@ class Kinematic(LearntModel):
         curves = tuple(curve.curve() for curve in entry.curves)
         seats = [entry.reflector_mm, *entry.more_reflectors_mm]
         kinematics = Kinematics(
-            robot.arm, len(seats), gravity=entry.gravity, waves=entry.waves, tool=entry.tool,
-            curves=curves, levers_mm=entry.levers(),
+            robot.arm, len(seats), gravity=entry.gravity, waves=entry.waves, orders=ORDERS,
+            tool=entry.tool, curves=curves, levers_mm=entry.levers(),
         )  # fmt: skip
         placed, size = kinematics.placed, len(kinematics.names)
         covariance = _numbers("covariance", entry.covariance, (size, size), MOST_MM)
@@ -309,7 +328,7 @@ def _identified(measured: MeasuredArm) -> tuple[Estimate, CurvesUsed]:
     assumed = Placed(2.0, 2e-3, 2.0)  # {B} from circles, the reflector as it is mounted
     if len(seats_mm) > 1:  # so little that a orientation of all is theirs and not the last link's
         assumed = replace(assumed, reflector_mm=50.0)
-    kinematics = Kinematics(arm, len(seats_mm), assumed=assumed)
+    kinematics = Kinematics(arm, len(seats_mm), orders=ORDERS, assumed=assumed)
     start, noise = kinematics.start(np.eye(4), seats_mm), Noise.of_joints(len(seats_mm))
     found = identify(kinematics, measured.readings, start, noise)
     without = _better(found, replace(kinematics, tool=True))
@@ -428,10 +447,13 @@ def _excess(estimate: Estimate) -> float:
 
 
 def _left_out_mm(estimate: Estimate) -> Array:
+    return estimate.left_out(_folds(estimate))[0][:, 0][~estimate.outliers[:, 0]]
+
+
+def _folds(estimate: Estimate) -> list[Ints]:
     count = 5  # each fifth pose is predicted by the others
     fold = np.arange(len(estimate.readings)) % count
-    folds = [np.flatnonzero(fold == each).astype(np.int_) for each in range(count)]
-    return estimate.system.left_out(folds)[0][:, 0][~estimate.outliers[:, 0]]
+    return [np.flatnonzero(fold == each).astype(np.int_) for each in range(count)]
 
 
 def _frame(name: str, rows: list[list[float]]) -> Array:

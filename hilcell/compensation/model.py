@@ -17,6 +17,7 @@ from hilcell.compensation.grid import Grid, GridError, MeasuredGrid
 from hilcell.decoding import Json
 from hilcell.geometry.inverse import NominalRobot
 from hilcell.geometry.kinematics import Array, Bools, Ints
+from hilcell.geometry.statistics import lengths_mm
 from hilcell.identification.kinematics import TransmissionCurve
 from hilcell.identification.known_arm import KnownArm
 from hilcell.identification.measured_poses import IdentificationError, Readings, pose_folds
@@ -179,6 +180,11 @@ class LearntModel(ABC):
             model = cls.learn(Measured(poses.at(~out)))
             missed_mm[out] += model.predict(poses.nominal[out]).error_mm
         return missed_mm
+
+    @classmethod
+    def left_out_sizes_mm(cls, measured: Measured) -> Array:
+        """Lengths (M,) of the errors at poses left out, as targets have them."""
+        return lengths_mm(cls.left_out_mm(measured))
 
     @abstractmethod
     def predict(self, poses: Array) -> Prediction:

@@ -1,12 +1,11 @@
 """A robot with kinematic errors: its unknown parameters, and the resulting reflector positions.
 
 Unknown are the base frame, the reflectors on the flange, the link parameters (Denavit, Hartenberg,
-Hayati), the deflection of axes by gravity and by a tool's weight, one and two waves a revolution
-of each joint, and the amplitudes and shift of given transmission curves. Many have the
-same effect (d of the parallel axes 2 and 3, base and first link, reflector and last link); priors
-decide, so the parameters may be arbitrary where the positions are not. Weight acts on revolute
-joints alone (`hilcell.identification.weight`); a prismatic joint has an error of its pitch in place
-of waves.
+Hayati), the deflection of axes by gravity and by a tool's weight, a few waves a revolution of each joint, and
+the amplitudes and shift of given transmission curves. Many have the same effect (d of the parallel
+axes 2 and 3, base and first link, reflector and last link); priors decide, so the parameters may be
+arbitrary where the positions are not. Weight acts on revolute joints alone
+(`hilcell.identification.weight`); a prismatic joint has an error of its pitch in place of waves.
 """
 
 from __future__ import annotations
@@ -66,7 +65,6 @@ class TransmissionCurve:
 
 
 BASE = 6
-ORDERS = (1, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +106,8 @@ class Kinematics:
     """Possible errors of a robot; ``arm`` is nominal, its tool frame is not used.
 
     Order of the P parameters: base (shift in mm, rotation vector about its origin), reflectors,
-    links by kind and row, then, if requested, gravity, waves, tool, curves. Gears err more under
-    load: with ``levers_mm`` of the first axes, their curves grow by an unknown share of the
+    links by kind and row, then, if requested, gravity, waves of ``orders`` a revolution, tool,
+    curves. Gears err more under load: with ``levers_mm`` of the first axes, their curves grow by an unknown share of the
     relative growth of the flange's lever over these. ``learnt``: mean (P,) and covariance (P, P)
     of the parameters where an earlier calibration knows them.
     """
@@ -119,6 +117,7 @@ class Kinematics:
     _: KW_ONLY
     gravity: bool = True
     waves: bool = True
+    orders: tuple[int, ...] = (1, 2)
     tool: bool = False
     curves: tuple[TransmissionCurve, ...] = ()
     levers_mm: tuple[float, ...] = ()
@@ -162,9 +161,9 @@ class Kinematics:
         sigma of its prior.
         """
         gravity_rad = 0.5e-3  # of the deflection at full load
-        wave_rad = 50e-6  # of the amplitudes of one and two waves a revolution
+        wave_rad = 50e-6  # of the amplitudes of waves a revolution
         pitch = 1e-3  # of a prismatic joint's way
-        waves = [f"{wave} {order}q rad" for order in ORDERS for wave in ("cos", "sin")]
+        waves = [f"{wave} {order}q rad" for order in self.orders for wave in ("cos", "sin")]
         drives: list[tuple[int, str, float]] = []
         for axis, turns in enumerate(self.arm.turning):
             if turns:
@@ -322,7 +321,7 @@ def _steady(kinematics: Kinematics, joints: bytes) -> Array:
     if kinematics.gravity:
         blocks.append(gravity_basis(arm, at))
     if kinematics.waves:
-        blocks.append(_drive_basis(arm, at))
+        blocks.append(_drive_basis(arm, at, kinematics.orders))
     if kinematics.tool:
         blocks.append(tool_basis(arm, at))
     return np.concatenate(blocks, axis=1)
@@ -339,9 +338,9 @@ def _loads(kinematics: Kinematics, joints: bytes) -> Array:
     return np.asarray(levers_mm / middle_mm - 1.0)
 
 
-def _drive_basis(arm: Arm, joints_rad: Array) -> Array:
-    """Return cos q, sin q, cos 2q, sin 2q of each revolute joint, and q of each prismatic one."""
-    angles = joints_rad[..., None] * np.array(ORDERS)
+def _drive_basis(arm: Arm, joints_rad: Array, orders: tuple[int, ...]) -> Array:
+    """Return cos nq, sin nq of each revolute joint, and q of each prismatic one."""
+    angles = joints_rad[..., None] * np.array(orders)
     waves = np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(*joints_rad.shape, -1)
     columns = [
         waves[:, axis] if turns else joints_rad[:, axis, None]

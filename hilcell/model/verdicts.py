@@ -339,7 +339,7 @@ class CurvesUsed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Fitted(Verdict, frozen=True, kw_only=True, omit_defaults=True):
     """The error model chosen by cross-validation: mean, p95 and max (mm) of each. ``orientation``:
     the use of the tool's orientation, where measured. ``tail``: the largest over the median of the
-    errors at poses left out or struck out, of a quick plan.
+    errors at poses left out or struck out, each by its uncertainty, of a quick plan.
     """
 
     keys: ClassVar[tuple[str, ...]] = ("fit",)

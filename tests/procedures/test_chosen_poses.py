@@ -20,16 +20,8 @@ from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import clear_poses
 from procedures import robot_grid
-from procedures.plan import flange_points, robot_moves_s
-from procedures.robot_grid import (
-    CANDIDATES,
-    ChosenPoses,
-    Design,
-    Rows,
-    candidates_rad,
-    design,
-    nearest_next,
-)
+from procedures.plan import flange_points, nearest_next, robot_moves_s
+from procedures.robot_grid import CANDIDATES, ChosenPoses, Design, Rows, candidates_rad, design
 from tests.procedures.results import result_of
 
 QUICK = load_cell("paper", {"plan.quick": "true"})

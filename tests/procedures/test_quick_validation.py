@@ -16,7 +16,6 @@ import pytest
 from hilcell.calibration.decision_rule import Guard, decide, tolerance_limits
 from hilcell.calibration.grid import grid_of
 from hilcell.calibration.position_errors import Errors
-from hilcell.calibration.touch import touch_count
 from hilcell.cell.file import load_cell
 from hilcell.cell.undetectable_errors import undetectable_errors
 from hilcell.geometry.statistics import lengths_mm
@@ -57,7 +56,7 @@ def test_a_quick_plan_has_the_targets_that_will_be_needed() -> None:
     plan = CALIBRATE.plan(QUICK, 1)
     assert plan.duration_s == pytest.approx(sum(step.duration_s for step in plan.steps))
     validate = next(step for step in plan.steps if step.name == "validate")
-    assert validate.points == 3 * 8 + 2 * (touch_count(QUICK) + len(QUICK.layout.slide))
+    assert validate.points == 3 * 8 + 2 * (QUICK.touch.poses + len(QUICK.layout.slide))
 
 
 @pytest.mark.parametrize("decided", [8, 40, 96])

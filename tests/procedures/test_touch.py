@@ -22,6 +22,7 @@ from hilcell.model.frame import Frame
 from hilcell.model.point import Point, PointId
 from hilcell.model.verdicts import blamed, suspected_in
 from hilcell.ports import Array, DeviceError
+from procedures.plan import flange_points, joints_for, nearest_next
 from procedures.touch_station import touch_once, touch_spans, touches
 from procedures.validate import Validate, target_poses, targets
 from tests.hilcell.verdicts import FITTED, framed, plain
@@ -140,6 +141,17 @@ def test_the_poses_are_in_the_cube_and_spread() -> None:
     assert (np.ptp(targets_mm, axis=0) > 500.0).all()
     apart_mm = np.linalg.norm(targets_mm[:, None] - targets_mm[None], axis=-1)
     assert apart_mm[~np.eye(8, dtype=bool)].min() > 250.0
+
+
+def test_the_poses_come_in_the_order_that_takes_the_least_time() -> None:
+    bench = bench_of()
+    touch_once(bench, FAR, model_of(bench.log))
+    joints_rad = np.radians([point.commanded_deg for point in bench.log.select("touch")])
+    assert nearest_next(CELL, joints_rad) == list(range(CELL.touch.poses))
+    whole_s = touch_spans(CELL, FAR)[0].duration_s
+    assert abs(whole_s - flange_points(CELL, joints_rad).duration_s) < 0.5
+    drawn_rad = joints_for(CELL, touch_targets_mm(CELL, FAR))
+    assert whole_s < 0.95 * flange_points(CELL, drawn_rad).duration_s
 
 
 def test_a_total_station_is_sent_to_no_place_before_or_behind_a_nest() -> None:

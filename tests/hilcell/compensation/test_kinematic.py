@@ -139,6 +139,56 @@ def test_an_axis_that_was_not_swept_errs_smoothly_as_its_poses_show() -> None:
     np.testing.assert_allclose(again.predict(poses).error_mm, model.predict(poses).error_mm)
 
 
+def moved(data: Measured, by_mm: Array) -> Measured:
+    arm = arm_of(data)
+    readings = replace(arm.readings, xyz_mm=arm.readings.xyz_mm + by_mm[:, None])
+    return replace(data, arm=replace(arm, readings=readings))
+
+
+def turned(data: Measured, axis: int, by_rad: Array) -> Measured:
+    """Return poses at which an axis has turned further by angles (N,)."""
+    joints_rad = arm_of(data).readings.joints_rad
+    bent = joints_rad.copy()
+    bent[:, axis] += by_rad
+    return moved(data, (forward(ROBOT.arm, bent) - forward(ROBOT.arm, joints_rad))[:, :3, 3])
+
+
+def test_a_third_wave_of_a_joint_is_identified() -> None:
+    data = measured(64, WAVES, noise_mm=0.003)
+    joints_rad = arm_of(data).readings.joints_rad
+    waved = turned(data, 2, 150e-6 * np.sin(3.0 * joints_rad[:, 2]))
+    names = Kinematic.learn(waved).kinematics.names
+    assert sum(" 3q " in name for name in names) == 2 * len(ROBOT.arm)
+    left_mm, before_mm = Kinematic.left_out_mm(waved), Kinematic.left_out_mm(data)
+    assert lengths_mm(left_mm).mean() < 1.2 * lengths_mm(before_mm).mean()
+
+
+def tail(sizes_mm: Array) -> float:
+    return float(sizes_mm.max() / np.median(sizes_mm))
+
+
+def test_normal_errors_along_one_line_have_no_heavy_tail() -> None:
+    tails, raw = [], []
+    for seed in range(4):
+        normal = np.random.default_rng(seed).standard_normal(60)
+        data = turned(measured(60, WAVES), 0, 15e-6 * normal)
+        tails.append(tail(Kinematic.left_out_sizes_mm(data)))
+        raw.append(tail(lengths_mm(Kinematic.left_out_mm(data))))
+    assert max(tails) <= 3.0
+    assert max(raw) > 3.0
+
+
+@pytest.mark.parametrize(("far_mm", "struck"), [(0.3, False), (4.0, True)])
+def test_one_pose_far_off_is_a_heavy_tail(far_mm: float, struck: bool) -> None:
+    far = np.zeros((60, 3))
+    far[33] = [0.0, 0.0, far_mm]
+    data = moved(measured(60, WAVES), far)
+    sizes_mm = Kinematic.left_out_sizes_mm(data)
+    assert Kinematic.learn(data).outliers == [33] * struck
+    assert np.argmax(sizes_mm) == 33
+    assert tail(sizes_mm) > 5.0
+
+
 def test_curves_that_harm_are_not_used() -> None:
     wrong = replace(WAVES, amplitude_rad=-2.0 * WAVES.amplitude_rad, shift_sigma_rad=1e-6)
     decision = curves_used(measured(64, wrong))
