@@ -191,8 +191,8 @@ class Kinematic(LearntModel):
         """Lengths (M,) of the errors at poses left out or struck out: each in the standard
         deviations of its prediction, times that of an error at this pose once it is learnt.
 
-        A corner is uncertain while it is left out, and errors along one line scatter more than those
-        in all directions: neither is a heavy tail of targets.
+        A corner is uncertain while it is left out, and normal errors along one line scatter more
+        than those in all directions: neither is a heavy tail.
         """
         arm = _arm(measured)
         estimate = _identified(arm)[0]

@@ -1,11 +1,12 @@
 """A robot with kinematic errors: its unknown parameters, and the resulting reflector positions.
 
 Unknown are the base frame, the reflectors on the flange, the link parameters (Denavit, Hartenberg,
-Hayati), the deflection of axes by gravity and by a tool's weight, a few waves a revolution of each joint, and
-the amplitudes and shift of given transmission curves. Many have the same effect (d of the parallel
-axes 2 and 3, base and first link, reflector and last link); priors decide, so the parameters may be
-arbitrary where the positions are not. Weight acts on revolute joints alone
-(`hilcell.identification.weight`); a prismatic joint has an error of its pitch in place of waves.
+Hayati), the deflection of axes by gravity and by a tool's weight, waves of each joint that repeat
+once or a few times a revolution, and the amplitudes and shift of given transmission curves. Many
+have the same effect (d of the parallel axes 2 and 3, base and first link, reflector and last link);
+priors decide, so the parameters may be arbitrary where the positions are not. Weight acts on
+revolute joints alone (`hilcell.identification.weight`); a prismatic joint has an error of its pitch
+in place of waves.
 """
 
 from __future__ import annotations
@@ -107,9 +108,9 @@ class Kinematics:
 
     Order of the P parameters: base (shift in mm, rotation vector about its origin), reflectors,
     links by kind and row, then, if requested, gravity, waves of ``orders`` a revolution, tool,
-    curves. Gears err more under load: with ``levers_mm`` of the first axes, their curves grow by an unknown share of the
-    relative growth of the flange's lever over these. ``learnt``: mean (P,) and covariance (P, P)
-    of the parameters where an earlier calibration knows them.
+    curves. Gears err more under load: with ``levers_mm`` of the first axes, their curves grow by an
+    unknown share of the relative growth of the flange's lever over these. ``learnt``: mean (P,) and
+    covariance (P, P) of the parameters where an earlier calibration knows them.
     """
 
     arm: Arm
@@ -161,13 +162,17 @@ class Kinematics:
         sigma of its prior.
         """
         gravity_rad = 0.5e-3  # of the deflection at full load
-        wave_rad = 50e-6  # of the amplitudes of waves a revolution
+        wave_rad = 50e-6  # of the amplitudes of one and two waves a revolution; half for three
         pitch = 1e-3  # of a prismatic joint's way
-        waves = [f"{wave} {order}q rad" for order in self.orders for wave in ("cos", "sin")]
+        waves = [
+            (f"{wave} {order}q rad", wave_rad / max(order - 1, 1))
+            for order in self.orders
+            for wave in ("cos", "sin")
+        ]
         drives: list[tuple[int, str, float]] = []
         for axis, turns in enumerate(self.arm.turning):
             if turns:
-                drives += [(axis, wave, wave_rad) for wave in waves]
+                drives += [(axis, *wave) for wave in waves]
             else:
                 drives.append((axis, "pitch m/m", pitch))
         gravity, tool = gravity_loads(self.arm), tool_loads(self.arm)
