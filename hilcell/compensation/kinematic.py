@@ -202,7 +202,8 @@ class Kinematic(LearntModel):
         missed_mm[struck] = (arm.readings.xyz_mm[:, 0] - there_mm)[struck]
         covariance_mm2[struck] = learnt_mm2[struck]
         whitened = np.linalg.solve(np.linalg.cholesky(covariance_mm2), missed_mm[..., None])
-        return lengths_mm(whitened[..., 0]) * np.sqrt(np.trace(learnt_mm2, axis1=1, axis2=2) / 3.0)
+        usual_mm: Array = np.sqrt(np.trace(learnt_mm2, axis1=1, axis2=2) / 3.0)
+        return lengths_mm(whitened[..., 0]) * usual_mm
 
     def predict(self, poses: Array) -> Prediction:
         """Return the errors at nominal poses (N, 4, 4) in {B}; raises `ReachError`."""
