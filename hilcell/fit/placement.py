@@ -65,9 +65,10 @@ def place(arm: Arm, rows: Measurements) -> Placement:
     """Estimate base and reflectors by Gauss-Newton with soft-L1 weights.
 
     Raises `FitError`, and `FrameError` for positions that are no rigid motion of nominal ones.
+    Those of another robot need not settle: their misses tell it.
     """
     placement, step = _estimate(arm, rows, ITERATIONS)
-    if not step <= CONVERGED:
+    if not (step <= CONVERGED or np.median(placement.miss_mm(rows)) > ABSURD_MM):
         raise FitError(
             f"{rows.source}: base and reflectors do not settle: the last of {ITERATIONS} steps is "
             f"{step:.3g}, expected <= {CONVERGED}: measure more poses with other orientations"

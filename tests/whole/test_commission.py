@@ -75,6 +75,7 @@ SEEDS = range(1, 21)
 QUICK = (10, 14)  # with the page's hall they are three in `make test`
 
 
+@pytest.mark.wall
 @pytest.mark.parametrize("seed", QUICK)
 def test_a_hall_is_commissioned(seed: int, tmp_path: Path) -> None:
     with unknown_hall(tmp_path / "hall", seed) as hall:

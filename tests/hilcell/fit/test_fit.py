@@ -329,6 +329,14 @@ def test_units_signs_and_hands_are_named(
         fit_robot(IRB120, spoilt)
 
 
+@pytest.mark.parametrize("seed", [1, 9])
+def test_rows_of_another_robot_are_refused_by_their_misses(seed: int) -> None:
+    """Their base does not settle, and no other orientations would help."""
+    rows, other = measured(seed, 40, ["SMR1"]), measured(seed + 100, 40, ["SMR1"])
+    with pytest.raises(FitError, match=r"miss half .* check the robot file, and that the rows"):
+        fit_robot(IRB120, replace(rows, xyz_mm=other.xyz_mm))
+
+
 def test_a_test_set_of_another_robot_is_refused() -> None:
     rows, test = measured(1, 40, ["SMR1"]), measured(2, 20, ["SMR1"])
     other = replace(test, joints_rad=test.joints_rad[::-1])
