@@ -97,8 +97,10 @@ class JsonOutput(RunOutput):
         self._run = run
 
     def print_record(self, record: Record) -> None:
-        event, fact = record.event(self._run), record.fact
-        self._write(event | {"content": fact.summary} if isinstance(fact, ArmCarried) else event)
+        event = record.event(self._run)
+        if record.kind == "event" and isinstance(record.fact, ArmCarried):
+            event |= {"content": record.fact.summary}
+        self._write(event)
 
     def close(self, code: int, log: Log, fault: Exception | None) -> None:
         if log.end is None and not self._closed:
