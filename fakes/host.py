@@ -87,10 +87,13 @@ def _travel_values(travel: Travel, unit: str) -> Values:
 
 
 class Order(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The ordered simulated cell; ``seed``: the machine's; ``speed`` None: stepped time."""
+    """The ordered simulated cell; ``seed``: the machine's; ``run_seed``: of the run that begins
+    it, for its noise; ``speed`` None: stepped time.
+    """
 
     cell: dict[str, Any]
     seed: int = 1
+    run_seed: int | None = None
     speed: float | None = None
     faults: str = ""
     truth: bool = False
@@ -111,7 +114,7 @@ class Host:
         self._cell_truth: CellTruth | ReplayTruth = (
             ReplayTruth(cell, Path(data), self._time, self._faults)
             if data
-            else CellTruth(cell, order.seed, self._time, self._faults)
+            else CellTruth(cell, order.seed, self._time, self._faults, order.run_seed)
         )
         site = Site(cell, self._cell_truth, self._faults, self._time, rail_device(cell))
         self._devices: dict[str, SimulatedDevice] = {}

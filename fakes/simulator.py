@@ -44,6 +44,7 @@ class PaperCell:
         cell: Cell,
         *,
         seed: int | None,
+        run_seed: int | None = None,
         speed: float = math.inf,
         faults: str = "",
         truth: bool = False,
@@ -74,6 +75,7 @@ class PaperCell:
             order = {
                 "cell": {k: v for k, v in msgspec.to_builtins(cell).items() if v is not None},
                 "seed": seed,
+                "run_seed": run_seed,
                 "speed": None if math.isinf(speed) else speed,
                 "faults": faults,
                 "truth": truth,

@@ -53,6 +53,7 @@ OCTANTS = np.array(  # of a box, in an order whose every step crosses one face
 
 
 LIGHT = 3.0  # the largest over the median of errors whose hazard rises: 2.2 +- 0.3 of normal ones
+STANDS_OUT = 4.0  # of a station's own errors, whose uncertainties differ
 
 
 def planned_targets(cell: Cell) -> int:
@@ -259,7 +260,7 @@ class SequentialRule:
         """Return after each error (N,) whether none has stood out at the end of a block."""
         light = np.ones(len(errors), dtype=np.bool_)
         for end in range(self.block, len(errors) + 1, self.block):
-            if not errors[:end].max() <= LIGHT * np.median(errors[:end]):
+            if not errors[:end].max() <= STANDS_OUT * np.median(errors[:end]):
                 light[end - 1 :] = False
                 break
         return light

@@ -424,16 +424,23 @@ def check_replay(cell: Cell, procedure: str, seed: int) -> None:
 
 
 def start_simulation(
-    cell: Cell, *, seed: int | None, speed: float, session: int = 1, **more: object
+    cell: Cell,
+    *,
+    seed: int | None,
+    speed: float,
+    session: int = 1,
+    run_seed: int | None = None,
+    **more: object,
 ) -> ports.SimulatedCell | None:
     """Start the simulated cell of the cell file, if any.
 
-    ``seed`` is its machine's, None for a running one. A replay needs the run's ``session``.
+    ``seed`` is its machine's, None for a running one; ``run_seed``: of the run, for its noise. A
+    replay needs the run's ``session`` instead.
     ``more`` (faults, ports, truth) is for `hilcell sim`.
     """
     if cell.simulation is None:
         return None
-    more |= {"session": session} if is_replay(cell) else {}
+    more |= {"session": session} if is_replay(cell) else {"run_seed": run_seed}
     simulator = load_entry("simulators", cell.simulation.simulator)
     simulated: ports.SimulatedCell = simulator(cell, seed=seed, speed=speed, **more)
     return simulated

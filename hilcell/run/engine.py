@@ -177,6 +177,7 @@ class Engine:
             simulated = start_simulation(
                 cell,
                 seed=inputs.machine_seed,
+                run_seed=inputs.seed,
                 speed=inputs.speed or math.inf,
                 session=log.session + 1,
             )

@@ -74,7 +74,7 @@ class Order(Signature):
     )
     seed: int | None = option(
         "seed of random targets, and of the simulated machine without --machine-seed (default: 1; "
-        "of a re-calibration, one that follows from the calibration it starts from)",
+        "of a run that uses a calibration, one that follows from that)",
         "N",
         parse_seed,
         default=None,
@@ -169,11 +169,13 @@ class Order(Signature):
             say("\n".join([used, *(f"accepted although {reason}" for reason in accepted)]))
             machine = run_plan.checked_machine_seed(machine, calibrated_machine(cell, uses))
         machine = run_plan.machine_seed(cell, seed, machine)
-        if cell.plan.recalibrates and self.seed is None:
+        if uses and self.seed is None:
             seed = seed_after(calibration_named(cell, uses))
-            say(
-                f"seed {seed}, from that calibration: other poses than those of --seed {USUAL_SEED}"
-            )
+            if cell.plan.recalibrates:
+                say(
+                    f"seed {seed}, from that calibration: other poses than those of --seed "
+                    f"{USUAL_SEED}"
+                )
         try:
             check_options(cell)
         except SettingsError as error:

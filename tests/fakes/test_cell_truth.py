@@ -56,6 +56,19 @@ def test_same_seed_same_figures_however_often_polled(cell: Cell) -> None:
     assert np.array_equal(figures[0], figures[2])
 
 
+def test_another_run_on_the_same_machine_has_noise_of_its_own(cell: Cell) -> None:
+    """Else a re-check would compare an earlier run with itself."""
+    first, same, other = (CellTruth(cell, 3, CellTime(), Faults(), run) for run in (None, 3, 4))
+    for one in (first, same, other):
+        assert np.array_equal(one.tracker.pose_in_world, first.tracker.pose_in_world)
+        assert one.streams.offset_s == first.streams.offset_s
+    at_mm = [[visit(one, pose) for pose in POSES] for one in (first, same, other)]
+    assert np.array_equal(at_mm[0], at_mm[1])
+    apart_mm = np.linalg.norm(np.subtract(at_mm[0], at_mm[2]), axis=1)
+    assert (apart_mm > 1e-4).all()
+    assert (apart_mm < 0.3).all()
+
+
 def test_two_visits_of_one_pose_differ_by_repeatability(cell: Cell) -> None:
     truth = truth_of(cell)
     visits = []

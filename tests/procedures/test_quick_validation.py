@@ -302,7 +302,7 @@ def test_rarer_gross_errors_pass_as_often_as_the_decision_states(
 
 
 def test_hazard_bets_are_given_up_at_an_error_that_stands_out() -> None:
-    usual, errors = replace(RULE, rising=True), np.full(16, 0.25 * RULE.mean_limit_mm)
+    usual, errors = replace(RULE, rising=True), np.full(16, 0.2 * RULE.mean_limit_mm)
     errors[8] = 0.9 * RULE.mean_limit_mm
     assert usual.decide(errors) == Decision(Outcome.ACCEPTED, 8)
     assert usual.decide(errors[::-1]).outcome is Outcome.UNDECIDED

@@ -8,7 +8,7 @@ import pytest
 from hilcell.calibration import decision_rule
 from hilcell.calibration.file import read_calibration
 from hilcell.calibration.recheck import RecheckResult
-from hilcell.journal.runs import CALIBRATION
+from hilcell.journal.runs import CALIBRATION, read_log
 from hilcell.model.verdicts import Limits
 from tests.whole.bench import SMALL, command, corrected, ran, sets, simulation
 from tests.whole.golden import GoldenRuns
@@ -158,3 +158,13 @@ def test_targets_are_measured_and_folded_in(golden: GoldenRuns, tmp_path: Path) 
     done = command("run", "targets", "--dry-run", "--runs", runs, *sets(values))
     assert done.returncode == 2
     assert "H3" in done.stderr
+
+
+def test_a_simulated_recheck_reads_noise_of_its_own(golden: GoldenRuns, tmp_path: Path) -> None:
+    """Else two runs of one machine agree to the last digit, and no false alarm ever shows."""
+    quick = golden["quick"].copied_to(tmp_path)
+    checked = read_log(ran(tmp_path, "recheck", name="R").folder)
+    before = read_log(quick).points
+    both = [key for key in checked.points if key in before]
+    assert len(both) >= 3
+    assert all(checked.points[key].xyz_mm != before[key].xyz_mm for key in both)
