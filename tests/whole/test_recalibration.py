@@ -57,8 +57,7 @@ def test_what_it_cannot_start_from_is_refused(golden: GoldenRuns, tmp_path: Path
     assert planned.returncode == 0, planned.stderr  # a tolerance is no part of the arm
     file = quick / CALIBRATION
     whole = file.read_text()
-    other = golden["calibration"].folder / CALIBRATION
-    file.write_bytes(other.read_bytes())
+    file.write_bytes((small / CALIBRATION).read_bytes())
     assert "is not the one that this run wrote" in refusal(tmp_path, "--from", quick)
     file.write_text(whole.replace('"sign_checked": true', '"sign_checked": false', 1))
     assert "its seal does not hold" in refusal(tmp_path, "--from", quick)
