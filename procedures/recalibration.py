@@ -101,6 +101,7 @@ class Change(StepResult, frozen=True, kw_only=True):
         text = f"Unchanged since {self.calibration}: the arm, by {self.poses} poses."
         if said:
             text = f"Changed since {self.calibration}: {', '.join(said)}."
+        text += " Gears, lost motion and repeatability were not measured."
         if self.mount_mm is None:
             text += " The reflector's mount was not compared: other circles were swept then."
         return text

@@ -307,11 +307,14 @@ def _read(path: Path, columns: Mapping[str, str], robot: Robot) -> Measurements:
 
 def _tell_of_turns(robot: Robot, train: Measurements, rows: Measurements) -> None:
     middles_rad = turn_middles(train.joints_rad, robot.arm.turning != 0.0)
-    turned = rows.within_turns(middles_rad).joints_rad != rows.joints_rad
+    by_rad, usual_rad = (
+        each.joints_rad - each.within_turns(middles_rad).joints_rad for each in (rows, train)
+    )
+    turned = np.abs(by_rad - np.median(usual_rad, axis=0)) > 1.0
     for joint in np.flatnonzero(turned.any(axis=0)):
         print_message(
             f"joint {joint + 1} of {rows.source}: {turned[:, joint].sum()} of {len(rows)} rows are "
-            "taken a whole turn nearer the training rows, as a joint's errors repeat each turn"
+            "a whole turn from most training rows, and taken as if not: its errors repeat each turn"
         )
 
 

@@ -108,7 +108,10 @@ class Tables:
             rows.append(replace(row, place="") if row.place == last else row)
             last = row.place
         repeated = self.facts.part("repeatability", Repeated)
-        note = "Removed: 1 − after / before. Every figure is of targets really sent and measured."
+        note = "Removed: 1 − after / before. Every figure is of targets really sent and measured"
+        if self.facts.cell.plan.quick:
+            note += "; before is the error of the poses that were commanded to them"
+        note += "."
         if repeated is not None:
             note += (
                 " Repeatability and tracker noise alone would leave "

@@ -69,7 +69,9 @@ def test_rows_a_whole_turn_off_are_told(folder: Path) -> None:
     rows.joints_rad[[3, 9], 5] += 2.0 * np.pi
     write_rows(folder / "test.csv", rows)
     said = fit(folder, "robot.toml", "--test", folder / "test.csv").stderr
-    assert re.search(r"joint 6 of .*test\.csv: 2 of 25 rows are taken a whole turn", said)
+    assert re.search(
+        r"joint 6 of .*test\.csv: 2 of 25 rows are a whole turn from most training rows", said
+    )
 
 
 def test_a_tip_is_one_of_a_urdf(folder: Path) -> None:
