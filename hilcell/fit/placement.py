@@ -65,15 +65,24 @@ def place(arm: Arm, rows: Measurements) -> Placement:
     """Estimate base and reflectors by Gauss-Newton with soft-L1 weights.
 
     Raises `FitError`, and `FrameError` for positions that are no rigid motion of nominal ones.
-    Those of another robot need not settle: their misses tell it.
     """
     placement, step = _estimate(arm, rows, ITERATIONS)
-    if not (step <= CONVERGED or np.median(placement.miss_mm(rows)) > ABSURD_MM):
+    if not step <= CONVERGED:
+        half_mm = float(np.median(placement.miss_mm(rows)))
+        if half_mm > ABSURD_MM:  # as of another robot, whose rows need not settle
+            raise FitError(f"{rows.source}: {far_off(half_mm)}")
         raise FitError(
             f"{rows.source}: base and reflectors do not settle: the last of {ITERATIONS} steps is "
             f"{step:.3g}, expected <= {CONVERGED}: measure more poses with other orientations"
         )
     return placement
+
+
+def far_off(half_mm: float) -> str:
+    return (
+        f"nominal kinematics miss half of the measured targets by {half_mm:.4g} mm or more, "
+        f"expected <= {ABSURD_MM:g} mm"
+    )
 
 
 def place_roughly(arm: Arm, rows: Measurements) -> Placement:

@@ -10,7 +10,7 @@ import numpy as np
 
 from hilcell.compensation.interpolation import NEIGHBOURS
 from hilcell.fit.measurements import Measurements
-from hilcell.fit.placement import ABSURD_MM, CHECK_ROBOT, FitError
+from hilcell.fit.placement import ABSURD_MM, CHECK_ROBOT, FitError, far_off
 from hilcell.fit.robot_file import Robot
 from hilcell.fit.suppositions import Mistake
 from hilcell.geometry.frames import FrameError
@@ -78,10 +78,7 @@ def refuse_another_robot(rows: Measurements, nominal_mm: Array, mistake: Explain
     half_mm = float(np.median(nominal_mm))
     if not half_mm <= ABSURD_MM:
         every = np.arange(len(rows))
-        raise FitError(
-            f"{rows.source}: nominal kinematics miss half of the measured targets by {half_mm:.4g} "
-            f"mm or more, expected <= {ABSURD_MM:g} mm: {_act(mistake(every), CHECK_ROBOT)}"
-        )
+        raise FitError(f"{rows.source}: {far_off(half_mm)}: {_act(mistake(every), CHECK_ROBOT)}")
 
 
 def refuse_gross(rows: Measurements, miss_mm: Array, mistake: Explaining) -> None:

@@ -158,7 +158,7 @@ class Order(Signature):
                 "calibrate; leave it out",
                 code="HC-C10",
             )
-        accepted, machine = list[str](), self.machine_seed
+        accepted, used, machine = list[str](), "", self.machine_seed
         seed = USUAL_SEED if self.seed is None else self.seed
         if uses := procedure.used_in(cell):
             cell, accepted, used = with_calibration(
@@ -169,7 +169,7 @@ class Order(Signature):
             say("\n".join([used, *(f"accepted although {reason}" for reason in accepted)]))
             machine = run_plan.checked_machine_seed(machine, calibrated_machine(cell, uses))
         machine = run_plan.machine_seed(cell, seed, machine)
-        if uses and self.seed is None:
+        if used and self.seed is None:
             seed = seed_after(calibration_named(cell, uses))
             if cell.plan.recalibrates:
                 say(

@@ -333,7 +333,7 @@ def test_units_signs_and_hands_are_named(
 def test_rows_of_another_robot_are_refused_by_their_misses(seed: int) -> None:
     """Their base does not settle, and no other orientations would help."""
     rows, other = measured(seed, 40, ["SMR1"]), measured(seed + 100, 40, ["SMR1"])
-    with pytest.raises(FitError, match=r"miss half .* check the robot file, and that the rows"):
+    with pytest.raises(FitError, match=r"miss half .*; check the robot file, and that the rows"):
         fit_robot(IRB120, replace(rows, xyz_mm=other.xyz_mm))
 
 
