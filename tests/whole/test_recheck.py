@@ -1,6 +1,7 @@
 """A calibration is checked again on its machine, and its drill targets are measured."""
 
 import json
+import math
 from pathlib import Path
 
 import pytest
@@ -163,8 +164,10 @@ def test_targets_are_measured_and_folded_in(golden: GoldenRuns, tmp_path: Path) 
 def test_a_simulated_recheck_reads_noise_of_its_own(golden: GoldenRuns, tmp_path: Path) -> None:
     """Else two runs of one machine agree to the last digit, and no false alarm ever shows."""
     quick = golden["quick"].copied_to(tmp_path)
-    checked = read_log(ran(tmp_path, "recheck", name="R").folder)
+    checked = read_log(ran(tmp_path, "recheck", {}, "--seed", "7", name="R").folder)
     before = read_log(quick).points
     both = [key for key in checked.points if key in before]
     assert len(both) >= 3
-    assert all(checked.points[key].xyz_mm != before[key].xyz_mm for key in both)
+    assert any(key.startswith("held") for key in both)  # drift moves the others
+    for key in both:
+        assert math.dist(checked.points[key].xyz_mm, before[key].xyz_mm) > 1e-3
