@@ -42,12 +42,12 @@ ADDRESS = "in process"
 
 
 class InProcessCell:
-    """Devices and clock of one simulated cell; ``seed`` is its machine's."""
+    """Devices and clock of one simulated cell, of the seeds of machine and run."""
 
-    def __init__(self, cell: Cell, seed: int) -> None:
+    def __init__(self, cell: Cell, seed: int, run_seed: int | None = None) -> None:
         """Raises `SettingsError` for an impossible machine."""
         passing = CellTime()
-        truth = CellTruth(cell, seed, passing, Faults())
+        truth = CellTruth(cell, seed, passing, Faults(), run_seed)
         self.clock: Clock = EventClock(passing)
         self.rail: Rail = load_entry("rails", "none")(None, self.clock)
         if isinstance(truth.rail, RailTruth):

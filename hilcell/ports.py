@@ -624,7 +624,10 @@ class RecordingEnded(HilcellError):
 
 
 class InProcessCell(Protocol):
-    """A simulated cell without wires, built of a cell and a machine's seed; time is event time."""
+    """A simulated cell without wires, built of a cell and the seeds of machine and run.
+
+    Time is event time.
+    """
 
     rail: Rail
     robot: Robot

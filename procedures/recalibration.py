@@ -10,7 +10,7 @@ from hilcell.calibration.grid import measured_errors
 from hilcell.calibration.known_arm import carried_arm, carried_calibration, mount_since
 from hilcell.calibration.lookup import NoCalibration, calibration_named, record_of
 from hilcell.cell.file import Cell
-from hilcell.identification.known_arm import Followed, KnownArm, in_units
+from hilcell.identification.known_arm import Followed, KnownArm, in_words
 from hilcell.journal.log import Log
 from hilcell.model.events import ArmCarried
 from hilcell.model.plan import PlannedStep
@@ -97,10 +97,9 @@ class Change(StepResult, frozen=True, kw_only=True):
     @property
     def text(self) -> str:
         """The changes in words, and what was not compared."""
-        said = [f"{name} by {in_units(name, size)}" for name, size in self.changed.items()]
         text = f"Unchanged since {self.calibration}: the arm, by {self.poses} poses."
-        if said:
-            text = f"Changed since {self.calibration}: {', '.join(said)}."
+        if self.changed:
+            text = f"Changed since {self.calibration}: {in_words(self.changed)}."
         text += " Gears, lost motion and repeatability were not measured."
         if self.mount_mm is None:
             text += " The reflector's mount was not compared: other circles were swept then."

@@ -42,16 +42,15 @@ class CellTruth:
     def __init__(
         self, cell: Cell, seed: int, time: CellTime, faults: Faults, run_seed: int | None = None
     ) -> None:
-        """``seed``: of the machine; ``run_seed``: of a run whose noise is another one than that of
-        the run with the machine's seed. Raises `SettingsError` for an impossible machine.
+        """``seed``: of the machine; ``run_seed``: of the run, as of `KeyedNoise`. Raises
+        `SettingsError` for an impossible machine.
         """
-        noise_seed = seed if run_seed is None else seed + (run_seed - seed) * 2**32
-        fixed, landing = KeyedNoise(seed), KeyedNoise(noise_seed, "robot")
+        fixed, landing = KeyedNoise(seed), KeyedNoise(seed, "robot", run_seed)
         machine = cell_machine(cell)
         mounting = machine.mounting
         self.cell, self.time = cell, time
         self.rail = (
-            RailTruth(cell, seed, time, faults, noise_seed) if cell.has_rail else FloorTruth(cell)
+            RailTruth(cell, seed, time, faults, run_seed) if cell.has_rail else FloorTruth(cell)
         )
         try:
             self.arm = ArmTruth(machine, cell.robot.smr_mm, fixed.generator("arm"))
@@ -83,8 +82,8 @@ class CellTruth:
         self._base_cache: tuple[float, Array, dict[str, Array]] = (math.nan, np.eye(4), {})
         self._places_cache: tuple[tuple[Array, Array, float], dict[str, Array]] | None = None
         self.reflector_at = ""  # place of the one reflector carried by hand; "": out of sight
-        self.tracker = TrackerTruth(cell, seed, faults, self.reflectors_in_world, noise_seed)
-        self.streams = StreamTruth(seed, self.robot, self.tracker, self.path_in_world, noise_seed)
+        self.tracker = TrackerTruth(cell, seed, faults, self.reflectors_in_world, run_seed)
+        self.streams = StreamTruth(seed, self.robot, self.tracker, self.path_in_world, run_seed)
         taught = [] if cell.volumes is None else cell.volumes.teach
         self._corners = corners_in_world([each for each in cell.keep_out if each.name in taught])
         self._in_hand = ""  # the corner at which the person holds a further reflector

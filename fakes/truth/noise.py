@@ -1,7 +1,7 @@
 """Noise that depends on the event and its count, never on the time or the thread.
 
-A draw is keyed by the seed, the event ("robot lands on these joints") and its count: a run gives
-the same figures on any PC, while two visits of one target differ.
+A draw is keyed by the seeds of machine and run, the event ("robot lands on these joints") and its
+count: a run gives the same figures on any PC, while two visits of one target differ.
 """
 
 from __future__ import annotations
@@ -16,10 +16,14 @@ from fakes.truth.transforms import Array
 
 
 class KeyedNoise:
-    """Draws of unit normal noise for one seed; ``scope`` keeps devices apart."""
+    """Draws of unit normal noise for one machine's seed; ``scope`` keeps devices apart.
 
-    def __init__(self, seed: int, scope: str = "") -> None:
-        self._root = f"{seed}/{scope}"
+    ``run_seed``: of a run, which has draws of its own unless its seed is the machine's.
+    """
+
+    def __init__(self, seed: int, scope: str = "", run_seed: int | None = None) -> None:
+        own = run_seed is not None and run_seed != seed
+        self._root = f"{seed}/run {run_seed}/{scope}" if own else f"{seed}/{scope}"
         self._occurrences: Counter[str] = Counter()
 
     def normal(self, key: str, size: int) -> Array:

@@ -69,11 +69,11 @@ class RailTruth:
     HOMING_MM_S2 = 200.0
 
     def __init__(
-        self, cell: Cell, seed: int, time: CellTime, faults: Faults, noise_seed: int | None = None
+        self, cell: Cell, seed: int, time: CellTime, faults: Faults, run_seed: int | None = None
     ) -> None:
         self._lock = threading.RLock()
         self._time, self._faults = time, faults
-        self._noise = KeyedNoise(seed if noise_seed is None else noise_seed, "rail")
+        self._noise = KeyedNoise(seed, "rail", run_seed)
         machine = cell_machine(cell)
         self._sizes = machine.rail
         self._shape = _Shape(cell, machine, KeyedNoise(seed).generator("rail"))

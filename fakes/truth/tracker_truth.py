@@ -62,12 +62,11 @@ class TrackerTruth:
         seed: int,
         faults: Faults,
         reflectors_in_world: Callable[[], dict[str, Array]],  # (3,) by name
-        noise_seed: int | None = None,
+        run_seed: int | None = None,
     ) -> None:
         rng = KeyedNoise(seed).generator("tracker")
-        noise_seed = seed if noise_seed is None else noise_seed
-        self._noise = KeyedNoise(noise_seed, "tracker")
-        self._back = KeyedNoise(noise_seed, "tracker's back")
+        self._noise = KeyedNoise(seed, "tracker", run_seed)
+        self._back = KeyedNoise(seed, "tracker's back", run_seed)
         self._faults, self._reflectors = faults, reflectors_in_world
         self.measured = 0  # number of measurements
         self._range_mm = (cell.tracker.min_range_mm, cell.tracker.max_range_mm)
@@ -293,10 +292,10 @@ class StreamTruth:
         robot: RobotMotion,
         tracker: TrackerTruth,
         path_in_world: Callable[[str, Array], Array],  # name, times (N,) -> (N, 3)
-        noise_seed: int,
+        run_seed: int | None,
     ) -> None:
         self._robot, self._tracker, self._path = robot, tracker, path_in_world
-        self._noise = KeyedNoise(noise_seed, "stream")
+        self._noise = KeyedNoise(seed, "stream", run_seed)
         clock = KeyedNoise(seed).generator("tracker clock")
         power_on_s = (2_000.0, 400_000.0)  # since when the tracker is on
         self.offset_s = float(clock.uniform(*power_on_s))

@@ -67,8 +67,8 @@ def carried_arm(log: Log) -> KnownArm | None:
 
 
 def seed_after(calibration: Calibration) -> int:
-    """The seed of a re-calibration that states none: another one after each calibration, so that no
-    two links of a chain measure the same poses.
+    """The seed of a run that uses a calibration and states none: another one after each, so that no
+    two links of a chain measure the same poses, or have one simulated noise.
     """
     digest = hashlib.sha256(msgspec.json.encode(calibration.provenance, order="sorted")).digest()
     return int.from_bytes(digest[:2]) + 2  # 1 is the usual one

@@ -435,8 +435,8 @@ def start_simulation(
     """Start the simulated cell of the cell file, if any.
 
     ``seed`` is its machine's, None for a running one; ``run_seed``: of the run, for its noise. A
-    replay needs the run's ``session`` instead.
-    ``more`` (faults, ports, truth) is for `hilcell sim`.
+    replay needs the run's ``session`` instead. ``more`` (faults, ports, truth) is for `hilcell
+    sim`.
     """
     if cell.simulation is None:
         return None
@@ -446,12 +446,12 @@ def start_simulation(
     return simulated
 
 
-def in_process_cell(cell: Cell, seed: int) -> ports.InProcessCell:
+def in_process_cell(cell: Cell, seed: int, run_seed: int | None = None) -> ports.InProcessCell:
     """Return the simulated cell without wires; raises `SettingsError`."""
     if cell.simulation is None:
         raise SettingsError("simulation", ["missing; a cell without it has real devices only"])
     found: ports.InProcessCell = load_entry("in_process_cells", cell.simulation.simulator)(
-        cell, seed
+        cell, seed, run_seed
     )
     return found
 

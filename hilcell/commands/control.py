@@ -80,10 +80,7 @@ def _watch(folder: Path, *, as_json: bool) -> int:
         return EXIT_REFUSED
     log.take(first)
     name = encodable(folder.name)
-    known_arm, points = log.cell.plan.recalibrates, log.inputs.points
-    output: RunOutput = (
-        JsonOutput(name) if as_json else ProgressOutput(folder, points, known_arm=known_arm)
-    )
+    output: RunOutput = JsonOutput(name) if as_json else ProgressOutput(folder, log.inputs.points)
     with output:
         output.take(first)
         for record in records:

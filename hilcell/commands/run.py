@@ -84,12 +84,7 @@ def resume(args: Resume) -> int:
 
 def _performed(engine: Engine, *, as_json: bool) -> int:
     plan, log, name = engine.plan, engine.journal.log, engine.journal.run
-    known_arm = plan.cell.plan.recalibrates
-    output = (
-        JsonOutput(name)
-        if as_json
-        else ProgressOutput(plan.folder, plan.points, known_arm=known_arm)
-    )
+    output = JsonOutput(name) if as_json else ProgressOutput(plan.folder, plan.points)
     code, fault, unclosed = engine.run(output)
     output.close(code, log, fault)
     print_end(plan.folder, log, plan.procedure, output, fault)

@@ -140,10 +140,9 @@ def progress_bar() -> Progress:
 class ProgressOutput(RunOutput):
     """Draws a progress bar on stderr."""
 
-    def __init__(self, folder: Path, points: int, *, known_arm: bool = False) -> None:
-        """``known_arm``: a re-calibration, which measures no grid."""
+    def __init__(self, folder: Path, points: int) -> None:
         super().__init__()
-        self._known_arm = known_arm
+        self._known_arm = False  # a re-calibration measures no grid
         self._folder, self._progress = folder, progress_bar()
         self._console = self._progress.console
         self._planned, self._measured = points, set[str]()
@@ -181,6 +180,7 @@ class ProgressOutput(RunOutput):
                 if verdict == "broken":
                     self._print(f"{port} {promise}: broken: {why}")
             case ArmCarried(run=run):
+                self._known_arm = True
                 self._print(f"arm carried from {run}")
             case CurveMeasured(holds=False, summary=words):
                 self._print(words)

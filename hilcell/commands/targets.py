@@ -314,7 +314,7 @@ def _tell_of_turns(robot: Robot, train: Measurements, rows: Measurements) -> Non
     for joint in np.flatnonzero(turned.any(axis=0)):
         print_message(
             f"joint {joint + 1} of {rows.source}: {turned[:, joint].sum()} of {len(rows)} rows are "
-            "a whole turn from most training rows, and taken as if not: its errors repeat each turn"
+            "a whole turn from most training rows; its errors are taken to repeat each turn"
         )
 
 

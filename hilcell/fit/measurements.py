@@ -213,15 +213,15 @@ def read_measurements(
             found += _rows(layout, text, line, cells) if cells else []
         except ValueError as error:
             problems.append(f"line {line}: {error}")
-    zeros, found = len(found), [row for row in found if any(row.measured_mm)]
-    zeros -= len(found)  # what some trackers write for a reflector that they do not see
-    if not (found or problems):
+    seen = [row for row in found if any(row.measured_mm)]
+    zeros = len(found) - len(seen)  # some trackers write 0, 0, 0 for a reflector out of sight
+    if not (seen or problems):
         problems.append("no measured target follows the header")
     if problems:
         raise SettingsError(str(path), problems)
-    rows = _measurements(found, layout, str(path))
+    rows = _measurements(seen, layout, str(path))
     if say is not None:
-        blank = len(text.rows) - 1 - len({row.line for row in found})
+        blank = len(text.rows) - 1 - len({row.line for row in seen})
         unseen = f" ({counted(blank, 'line')} without a measurement)" if blank else ""
         sheet = f"{sheet}: " if sheet else ""
         unseen += f" ({counted(zeros, 'position')} 0, 0, 0 taken as not seen)" if zeros else ""

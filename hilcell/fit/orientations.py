@@ -117,7 +117,7 @@ def _readings(R: Array, turns: Array | None) -> Iterator[tuple[str, Array]]:
                 ),
             ]
             for axes in product("xyz", repeat=3):
-                if axes[0] != axes[1] != axes[2]:
+                if axes[0] != axes[1] != axes[2] and axes != ("z", "y", "x"):
                     says = " ".join(f"R{axis}" for axis in axes)
                     readings += [
                         (f"{says} of the columns in order{unit}", _turned(axes, v)),

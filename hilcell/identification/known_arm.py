@@ -10,7 +10,7 @@ again. Another gear or a loose link, which these do not explain, shows in chi^2 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -32,11 +32,13 @@ MOST_STRUCK = 0.2  # share of the poses beyond which they are not slips
 GROWTH, REFLECTOR = "growth of the arm", "reflector"  # all other changes are angles
 
 
-def in_units(name: str, size: float) -> str:
-    """Return the size of a change, a ratio, mm or rad, as a person reads it."""
-    if name == GROWTH:
-        return f"{1e6 * size:.0f} µm/m"
-    return f"{size:.2f} mm" if name == REFLECTOR else f"{np.degrees(size):.3f}°"
+def in_words(changed: Mapping[str, float]) -> str:
+    """Return changes by name, ratios, mm or rad, as a person reads them."""
+    said = []
+    for name, size in changed.items():
+        unit = f"{size:.2f} mm" if name == REFLECTOR else f"{np.degrees(size):.3f}°"
+        said.append(f"{name} by " + (f"{1e6 * size:.0f} µm/m" if name == GROWTH else unit))
+    return ", ".join(said)
 
 
 class ArmChanged(IdentificationError):

@@ -50,8 +50,8 @@ class Provenance(msgspec.Struct, frozen=True):
 
     ``points``: journal keys of the grid; ``scores``: mean, p95 and max (mm) of each candidate's
     cross-validation. ``run`` measured the model, ``updates`` are later runs, ``written`` is the
-    last change. ``arm_from``: the run whose arm a re-calibration has. ``links``:
-    those with which the controller solves Cartesian points, from the cell file or its own factory.
+    last change. ``arm_from``: the run whose arm a re-calibration has. ``links``: those with which
+    the controller solves Cartesian points, from the cell file or its own factory.
     """
 
     run: str

@@ -295,8 +295,8 @@ class _Runs:
         one, other = grid_of(first.cell), grid_of(second.cell)
         alike = one.shape == other.shape and one.pitch_mm == other.pitch_mm
         known = {"world", "base"} <= first.frames.keys() & second.frames.keys()
-        known &= all(log.select("grid") for log in self._logs)  # a re-calibration predicts it
-        return alike and known and bool(np.array_equal(one.origin_mm, other.origin_mm))
+        measured = all(log.select("grid") for log in self._logs)  # a re-calibration predicts it
+        return alike and known and measured and bool(np.array_equal(one.origin_mm, other.origin_mm))
 
     def grid(self) -> tuple[dict[str, float], list[Change]]:
         """Return how far the error at each vertex moved (mm, in {B}), by its key, and in figures.

@@ -24,7 +24,7 @@ from hilcell.cell.file import Cell
 from hilcell.compensation.kinematic import Kinematic
 from hilcell.compensation.model_choice import MODELS
 from hilcell.geometry.frames import matrix, zyx_from_pose
-from hilcell.identification.known_arm import in_units
+from hilcell.identification.known_arm import in_words
 from hilcell.journal.calibration_facts import SUSPECTED
 from hilcell.journal.labels import in_zone, period_text
 from hilcell.model.outcome import RULE, Outcome, gravest, outcome_of
@@ -555,10 +555,10 @@ class Certificate:
         phrases = [f"{measured} measured by laser tracker at {places} at {facts.cell.grid.station}"]
         if (carried := carried_calibration(log)) is not None:
             run, found = carried.provenance.latest, facts.result.get("known_arm", {"changed": {}})
-            since = [f"{name} by {in_units(name, size)}" for name, size in found["changed"].items()]
+            since = in_words(found["changed"])
             phrases.append(
                 "the arm, its gears' errors and its repeatability known from the calibration of "
-                f"run {run}" + (f", changed since: {', '.join(since)}" if since else "")
+                f"run {run}" + (f", changed since: {since}" if since else "")
             )
         if log.curves:
             fit, axes = log.verdict(Fitted), "axes" if len(log.curves) > 1 else "axis"

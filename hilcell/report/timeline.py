@@ -170,8 +170,9 @@ class _Timeline:
         plan, count, bounds_mm = self.facts.cell.plan, len(chosen.joints_deg), chosen.bounds_mm
         if not bounds_mm:
             return "none"
-        known = bounds_mm[0] if count and not plan.recalibrates else bounds_mm[-1]
-        progress = " to ".join(f"{mm:.3f} mm" for mm in dict.fromkeys((known, bounds_mm[-1])))
+        progress = f"{bounds_mm[-1]:.3f} mm"
+        if count and not plan.recalibrates:
+            progress = f"{bounds_mm[0]:.3f} mm to {progress}"
         if plan.tilt_deg:
             turned = f"targets that turn by {plan.tilt_deg:g}° (plan.tilt_poses)"
             why = f"{count} are measured for {turned}"

@@ -257,7 +257,7 @@ def run_in_process(
     ``plan`` is the procedure's for this cell and seed, if known. Raises `HilcellError`.
     """
     plan = plan or procedure.plan(cell, seed)
-    simulated = in_process_cell(cell, machine_seed)
+    simulated = in_process_cell(cell, machine_seed, seed)
     journal = MemoryJournal(folder, datetime.now(UTC).isoformat(timespec="milliseconds"))
     journal.append(
         "plan",

@@ -70,8 +70,10 @@ class Changed(CellTruth):
 
     zero_rad, gear, slip_mm = 0.0, 0, (0.0, 0.0, 0.0)
 
-    def __init__(self, cell: Cell, seed: int, time: CellTime, faults: Faults) -> None:
-        super().__init__(cell, seed, time, faults)
+    def __init__(
+        self, cell: Cell, seed: int, time: CellTime, faults: Faults, run_seed: int | None = None
+    ) -> None:
+        super().__init__(cell, seed, time, faults, run_seed)
         self.arm.lost_rad[1] += self.zero_rad
         self._slip_pose[:3, 3] += self.slip_mm
         if self.gear:

@@ -55,7 +55,7 @@ def test_an_axis_that_is_off_fails_its_verdict_and_is_suspected(
 ) -> None:
     simulated = InProcessCell(CELL, 1)
     simulated.tracker._truth.tracker._axes_rad[1] += 1e-6 * urad  # type: ignore[attr-defined] # its own
-    monkeypatch.setattr(procedure, "in_process_cell", lambda cell, seed: simulated)
+    monkeypatch.setattr(procedure, "in_process_cell", lambda *seeds: simulated)
     log = procedure.run_in_process(CELL, BOTH, seed=1, machine_seed=1, folder=tmp_path)
     assert log.verdicts["two-face"].holds is not bool(urad)
     found = axis_off(log)

@@ -112,7 +112,7 @@ def test_a_broken_promise_is_shown_at_once(capsys: pytest.CaptureFixture[str]) -
 def test_a_re_calibration_does_not_say_that_it_measures_a_grid(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    with ProgressOutput(Path("r"), 0, known_arm=True) as output:
+    with ProgressOutput(Path("r"), 0) as output:
         output.print_record(Record(1, "", "event", "", {"what": "arm carried", "run": "base"}))
         for to in ("base_framed", "grid_measured", "stations_framed"):
             body = {"machine": "calibration", "to": to}

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -187,7 +188,7 @@ def test_standard_rows_read_as_modified_ones_are_named() -> None:
 def test_a_prismatic_joint_in_the_wrong_unit_is_named() -> None:
     rows = CHAINS["on a rail"].measured(1, 40, ["SMR1"])
     for factor, unit in ((1000.0, "millimetres"), (0.001, "metres")):
-        wrong = joints(lambda q, by=factor: q * np.append(by, np.ones(6)))(rows)
+        wrong = joints(partial(np.multiply, np.append(factor, np.ones(6))))(rows)
         with pytest.raises(FitError, match=f"they fit if prismatic joint 1 is in {unit}:"):
             fit_robot(CHAINS["on a rail"].robot, wrong)
 

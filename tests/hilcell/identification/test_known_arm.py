@@ -11,7 +11,7 @@ from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import from_rotvec, matrix
 from hilcell.identification.estimate import predict
 from hilcell.identification.kinematics import Kinematics
-from hilcell.identification.known_arm import GROWTH, REFLECTOR, ArmChanged, KnownArm, in_units
+from hilcell.identification.known_arm import GROWTH, REFLECTOR, ArmChanged, KnownArm, in_words
 from hilcell.identification.measured_poses import Noise, Readings
 from hilcell.ports import Array
 from hilcell.sanitize import clean
@@ -140,4 +140,4 @@ def test_larger_noise_is_taken_over_in_part() -> None:
     ],
 )
 def test_a_change_is_said_in_its_unit(name: str, size: float, said: str) -> None:
-    assert in_units(name, size) == said
+    assert in_words({name: size}) == f"{name} by {said}"
