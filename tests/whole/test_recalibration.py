@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -113,6 +114,11 @@ def test_a_redo_leads_to_it(golden: GoldenRuns, tmp_path: Path) -> None:
     assert command("report", "C", "-o", page, "--runs", tmp_path).returncode == 0
     method = " ".join(page.read_text("utf-8").split())
     assert f"calibration of run {quick.name}, changed since: zero of axis 2 by 0." in method
+    assert "; before is the error of the poses that were commanded to them." in method
+    assert re.search(r"poses: predicted mean 95 % bound in the cube 0\.0\d+ mm;", method)
+    compared = command("compare", quick.name, "C", "--runs", tmp_path).stdout
+    assert "robot base" in compared
+    assert "grid points" not in compared  # the arm predicts what one of them measured
     assert done.done.returncode in (0, 1), done.done.stderr
 
 
