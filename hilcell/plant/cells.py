@@ -19,7 +19,7 @@ from hilcell.calibration.validity import CLOCK_ERROR, MAX_AGE_DAYS
 from hilcell.decoding import decoded
 from hilcell.journal.calibration_status import statuses
 from hilcell.journal.index import RunRow, in_order
-from hilcell.plant.tables import RUN, Row, grouped
+from hilcell.plant.tables import OUTCOME, RUN, Row, grouped
 from hilcell.sanitize import clean
 
 CELL = (RUN.c.cell, RUN.c.serial, RUN.c.machine)
@@ -46,16 +46,6 @@ class CellState(msgspec.Struct, frozen=True, kw_only=True):
     days_left: float | None = None
 
 
-def newest() -> ColumnElement[bool]:
-    """Return the SQL condition that a row is its run's newest revision."""
-    later = RUN.alias("later")
-    return ~(
-        select(later.c.digest)
-        .where(later.c.run_key == RUN.c.run_key, later.c.revision > RUN.c.revision)
-        .exists()
-    )
-
-
 def selected(cell: str, robot: str) -> list[ColumnElement[bool]]:
     """Return the SQL conditions that a run is of a cell and of a robot; "" for any."""
     return [column == name for column, name in ((RUN.c.cell, cell), (RUN.c.robot, robot)) if name]
@@ -69,8 +59,8 @@ def cells(
     own = RUN.alias("own")
     last = (
         select(own.c.digest)
-        .where(own.c.cell_key == every.c.key)
-        .order_by(own.c.ended.desc(), own.c.revision.desc())
+        .where(own.c.cell_key == every.c.key, own.c.newest)
+        .order_by(own.c.ended.desc())
         .limit(1)
         .correlate(every)
         .scalar_subquery()
@@ -86,16 +76,11 @@ def cells(
 
 def _cell_keys() -> CTE:
     """Return the keys of all cells, each by one step in the index: there are far more runs."""
-    first = select(RUN.c.cell_key).order_by(RUN.c.cell_key).limit(1).scalar_subquery()
+    keys_of = select(RUN.c.cell_key).where(RUN.c.newest).order_by(RUN.c.cell_key).limit(1)
+    first = keys_of.scalar_subquery()
     keys = select(first.label("key")).cte("every", recursive=True)
-    following = (
-        select(RUN.c.cell_key)
-        .where(RUN.c.cell_key > keys.c.key)
-        .order_by(RUN.c.cell_key)
-        .limit(1)
-        .correlate(keys)
-        .scalar_subquery()
-    )
+    after = RUN.c.cell_key > keys.c.key
+    following = keys_of.where(after).correlate(keys).scalar_subquery()
     return keys.union_all(select(following).where(keys.c.key.is_not(None)))
 
 
@@ -104,7 +89,7 @@ def _runs_since(connection: Connection) -> defaultdict[Name, list[RunRow]]:
     every = _cell_keys()
     proven = (
         select(RUN.c.ended)
-        .where(RUN.c.cell_key == every.c.key, RUN.c.proven, newest())
+        .where(RUN.c.cell_key == every.c.key, RUN.c.newest, RUN.c.proven)
         .order_by(RUN.c.ended.desc())
         .limit(1)
         .correlate(every)
@@ -116,7 +101,11 @@ def _runs_since(connection: Connection) -> defaultdict[Name, list[RunRow]]:
     batch = 200  # cells of one query
     for start in range(0, len(known), batch):
         own = or_(*known[start : start + batch])
-        query = select(*CELL, cast(RUN.c.row, Text).label("row")).where(own, newest())
+        query = (
+            select(*CELL, cast(OUTCOME.c.row, Text).label("row"))
+            .join(OUTCOME, OUTCOME.c.digest == RUN.c.digest)
+            .where(own, RUN.c.newest)
+        )
         for row in connection.execute(query):
             runs[row.cell, row.serial, row.machine].append(decoded(row.row, RunRow))
     return runs

@@ -168,8 +168,7 @@ class Database:
         for order in (
             f"GRANT INSERT ON {tables} TO {CELL}",
             f"GRANT SELECT ({', '.join(CELL_COLUMNS)}) ON {RUN.name} TO {CELL}",
-            f"GRANT EXECUTE ON FUNCTION plant_month(date) TO {CELL}",
-            f"GRANT SELECT ON {tables} TO {ENGINEER}",
+            f"GRANT SELECT ON {tables}, current_run TO {ENGINEER}",
             f"GRANT SELECT ON alembic_version TO {CELL}, {ENGINEER}",
         ):
             connection.execute(text(order))

@@ -28,9 +28,20 @@ from hilcell.identity import Identity
 from hilcell.journal.index import RunRow
 from hilcell.journal.log import changed_asset_kinds
 from hilcell.model.verdicts import OTHERS, VALIDATION
-from hilcell.plant.cells import CELL, newest, selected
+from hilcell.plant.cells import CELL, selected
 from hilcell.plant.record import TRACKER
-from hilcell.plant.tables import ALARM, DEVICE, FRAME, GRID, LENGTH, RUN, VERDICT, Row, grouped
+from hilcell.plant.tables import (
+    ALARM,
+    DEVICE,
+    FRAME,
+    GRID,
+    LENGTH,
+    OUTCOME,
+    RUN,
+    VERDICT,
+    Row,
+    grouped,
+)  # fmt: skip
 from hilcell.ports import Array
 
 YEAR_S = 365.25 * 86400.0
@@ -207,7 +218,7 @@ def robots(connection: Connection, robot: str = "", cell: str = "") -> list[Robo
         )
         .join(GRID, GRID.c.digest == RUN.c.digest)
         .join(base, and_(base.c.digest == RUN.c.digest, base.c.key == "base"))
-        .where(newest(), RUN.c.robot != "", *selected(cell, robot))
+        .where(RUN.c.newest, RUN.c.robot != "", *selected(cell, robot))
         .order_by(RUN.c.ended)
     )  # fmt: skip
     by_robot = grouped(connection, query, "robot", "cell", "serial", "machine")
@@ -265,7 +276,7 @@ class _Robots:
             *(column == getattr(first, column.name) for column in CELL),
             or_(RUN.c.ended > first.ended, aborted),
             RUN.c.ended <= second.ended,
-            newest(),
+            RUN.c.newest,
         )
         before, now = self._devices(first), self._devices(second)
         messages = [
@@ -274,7 +285,12 @@ class _Robots:
             for kind in changed_asset_kinds(before, now)
             if kind in before and kind in now
         ]
-        runs = select(RUN.c.row).where(between).order_by(RUN.c.ended)
+        runs = (
+            select(OUTCOME.c.row)
+            .join(RUN, RUN.c.digest == OUTCOME.c.digest)
+            .where(between)
+            .order_by(RUN.c.ended)
+        )
         for row in self.connection.execute(runs):
             run = typed(row.row, RunRow)
             if run.facts.recheck == "redo":
@@ -355,7 +371,7 @@ def worse_stations(connection: Connection, cell: str = "", robot: str = "") -> l
     query = (
         select(*CELL, RUN.c.ended, VERDICT.c.key, VERDICT.c.mean_mm, VERDICT.c.mean_tolerance_mm)
         .join(VERDICT, VERDICT.c.digest == RUN.c.digest)
-        .where(newest(), VERDICT.c.key.startswith(VALIDATION), VERDICT.c.mean_mm.is_not(None))
+        .where(RUN.c.newest, VERDICT.c.key.startswith(VALIDATION), VERDICT.c.mean_mm.is_not(None))
         .where(*selected(cell, robot))
         .order_by(RUN.c.ended)
     )
@@ -404,7 +420,7 @@ def instruments(connection: Connection, cell: str = "", robot: str = "") -> list
             func.min(RUN.c.begun).label("first"), func.max(RUN.c.ended).label("last"),
         )
         .join(RUN, RUN.c.digest == DEVICE.c.digest)
-        .where(DEVICE.c.serial != "", newest())
+        .where(DEVICE.c.serial != "", RUN.c.newest)
         .group_by(*names, DEVICE.c.firmware, RUN.c.cell, RUN.c.robot)
     )  # fmt: skip
     devices = grouped(connection, query, "kind", "serial", "maker", "model")
@@ -439,7 +455,7 @@ def _scales(connection: Connection) -> dict[str, tuple[float, float]]:
             func.avg(LENGTH.c.U_mm / LENGTH.c.wanted_mm * 5e5).label("stated"),
         )
         .join(RUN, RUN.c.digest == LENGTH.c.digest)
-        .where(RUN.c.tracker != "", newest())
+        .where(RUN.c.tracker != "", RUN.c.newest)
         .group_by(RUN.c.tracker)
     )
     return {
@@ -477,7 +493,7 @@ def alarms(connection: Connection, cell: str = "", robot: str = "") -> list[Alar
             func.count().label("times"), func.max(ALARM.c.t).label("last"),
         )
         .join(RUN, RUN.c.digest == ALARM.c.digest)
-        .where(newest(), *selected(cell, robot))
+        .where(RUN.c.newest, *selected(cell, robot))
         .group_by(ALARM.c.code, ALARM.c.title, ALARM.c.severity, RUN.c.cell)
     )  # fmt: skip
     counted = [

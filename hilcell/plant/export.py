@@ -96,18 +96,15 @@ class _Source:
         tables = {RUN: [run]}
         add(f"{folder}/{RECORD}", _json(dict(run)))
         for table in PARTS:
-            own = [table.c.digest == run["digest"]]
-            if table is POINT:
-                own.append(table.c.month == run["month"])  # the partition
-            query = select(table).where(*own).order_by(*table.primary_key)
+            own = table.c.digest == run["digest"]
+            query = select(table).where(own).order_by(*table.primary_key)
             rows = tables[table] = self.read(query, f"run {clean(run['name'])}")
             if table is DOCUMENT:
                 for row in rows:
                     add(f"{folder}/documents/{_safe(row['name'])}", self._document(run, row))
             elif rows:
                 parts = [
-                    {name: each for name, each in row.items() if name not in ("digest", "month")}
-                    for row in rows
+                    {name: each for name, each in row.items() if name != "digest"} for row in rows
                 ]
                 add(f"{folder}/{table.name}s.json", _json(parts))
         points = sum(not row["superseded"] for row in tables[POINT])

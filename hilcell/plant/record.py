@@ -13,7 +13,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from datetime import date, datetime
+from datetime import datetime
 from itertools import accumulate
 from shlex import quote
 from statistics import fmean
@@ -39,6 +39,7 @@ from hilcell.plant.tables import (
     FRAME,
     GRID,
     LENGTH,
+    OUTCOME,
     POINT,
     RUN,
     STREAM,
@@ -97,10 +98,10 @@ def run_record(
             f"run {run}: it is {row.condition}; `hilcell resume {quote(run)}` ends it"
         )
     head, (run_key, revision) = heads(records)[-1], run_key_of(run, records)
-    month = date.fromisoformat(f"{records[0].t[:7]}-01")
-    points = [{"month": month, **each} for each in _points(log, records)]
+    points = list(_points(log, records))
     checked = log.verdict(LengthsChecked)
     whole: dict[Table, Sequence[Values]] = {
+        OUTCOME: [{"row": msgspec.to_builtins(row)}],
         FRAME: [
             {"key": key, "matrix": each.matrix, "covariance": each.covariance or None}
             for key, each in log.frames.items()
@@ -134,7 +135,6 @@ def run_record(
             "run_key": run_key,
             "revision": revision,
             "head": head,
-            "month": month,
             "cell_key": first_128_bits(msgspec.json.encode((row.cell, row.serial, _machine(row)))),
             "machine": _machine(row),
             "begun": _moment(row.begun),
@@ -144,7 +144,6 @@ def run_record(
             "robot": serials.get("robot", ""),
             "tracker": serials.get(TRACKER, ""),
             "version": log.inputs.versions.get("hilcell", ""),
-            "row": msgspec.to_builtins(row),
         }
     ]
     whole = {
@@ -167,7 +166,7 @@ def _lines(table: Table, rows: Iterable[Values]) -> Iterator[str]:
     numbers = {each.name for each in table.columns if isinstance(each.type, Double)}
     moments = {each.name for each in table.columns if isinstance(each.type, Utc)}
     encode = json.JSONEncoder(sort_keys=True, default=str).encode
-    excluded = {"digest", "shipped"}  # the digest itself, and the server's clock
+    excluded = {"digest", "shipped", "newest"}  # the digest itself, and what the server adds
     for row in rows:
         values = {name: value for name, value in row.items() if name not in excluded}
         for name, value in values.items():

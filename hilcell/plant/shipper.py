@@ -19,7 +19,7 @@ from typing import NamedTuple
 from uuid import UUID
 
 import msgspec
-from sqlalchemy import Connection, func, select
+from sqlalchemy import Connection, select
 from sqlalchemy.dialects import postgresql, sqlite
 
 from hilcell.calibration.file import seal_problems
@@ -68,13 +68,9 @@ def write(connection: Connection, record: RunRecord, heads: Sequence[str], ended
     end: no earlier revision was ever shipped. Raises `Forked`.
     """
     _refuse_forked(connection, record, heads, ended)
-    on_postgresql = connection.dialect.name == POSTGRESQL
-    (run,) = record.rows[RUN]
-    if on_postgresql:
-        connection.execute(select(func.plant_month(run["month"])))
-    insert = postgresql.insert if on_postgresql else sqlite.insert
+    insert = (postgresql if connection.dialect.name == POSTGRESQL else sqlite).insert
     added = insert(RUN).on_conflict_do_nothing().execution_options(preserve_rowcount=True)
-    done = connection.execute(added, run)
+    done = connection.execute(added, record.rows[RUN])
     if not done.rowcount:
         return False
     for table, every in record.rows.items():

@@ -1,7 +1,8 @@
 """The tables of the plant's database, as of the newest migration.
 
-``run`` has a row per revision of a run, the other tables refer to it by ``digest``. On PostgreSQL
-``point`` is partitioned by ``month``, in which the run began.
+``run`` has a row per revision of a run, the other tables refer to it by ``digest``. A trigger keeps
+``run.newest`` in the transaction of the insert; the view ``current_run`` has the newest revisions.
+``run`` is narrow, since most questions read all of it: what is long stands in other tables.
 """
 
 from __future__ import annotations
@@ -58,7 +59,6 @@ RUN = sa.Table(
     sa.Column("run_key", sa.Uuid, nullable=False),
     sa.Column("revision", sa.Integer, nullable=False),
     sa.Column("head", sa.String(64), nullable=False),
-    sa.Column("month", sa.Date, nullable=False),
     sa.Column("cell_key", sa.Uuid, nullable=False),
     _text_column("name"),
     _text_column("cell"),
@@ -75,20 +75,24 @@ RUN = sa.Table(
     _text_column("robot"),
     _text_column("tracker"),
     _text_column("version"),
-    sa.Column("row", sa.JSON, nullable=False),
     sa.Column("shipped", Utc, nullable=False, server_default=sa.func.now()),
+    sa.Column("newest", sa.Boolean, nullable=False, server_default=sa.true()),
     sa.UniqueConstraint("run_key", "revision", name="run_revision"),
-    sa.Index("run_of_cell", "cell_key", "ended", "revision"),
+    sa.Index("run_of_head", "head"),
 )
-sa.Index(
-    "run_proven",
-    RUN.c.cell_key,
-    RUN.c.ended,
-    postgresql_where=sa.text("proven"),
-    sqlite_where=sa.text("proven"),
-)
-sa.Index("run_of_robot", RUN.c.robot, RUN.c.ended)
-sa.Index("run_of_head", RUN.c.head)
+
+
+def _partial_index(name: str, where: str, *columns: str) -> None:
+    condition = sa.text(where)
+    of = [RUN.c[each] for each in columns]
+    sa.Index(name, *of, postgresql_where=condition, sqlite_where=condition)
+
+
+_partial_index("run_of_cell", "newest", "cell_key", "ended")
+_partial_index("run_proven", "newest AND proven", "cell_key", "ended")
+_partial_index("run_of_robot", "newest", "robot", "ended")
+
+OUTCOME = _part("outcome", sa.Column("row", sa.JSON, nullable=False))
 
 FRAME = _part(
     "frame",
@@ -147,11 +151,8 @@ DOCUMENT = _part(
     sa.Column("sha256", sa.String(64), nullable=False),
     _text_column("text"),
 )
-POINT = sa.Table(
+POINT = _part(
     "point",
-    TABLES,
-    sa.Column("month", sa.Date, primary_key=True),
-    sa.Column("digest", sa.Uuid, primary_key=True),
     sa.Column("seq", sa.Integer, primary_key=True),
     sa.Column("t", Utc, nullable=False),
     *map(_text_column, ("key", "kind", "station", "frame", "reflector")),
@@ -171,9 +172,8 @@ POINT = sa.Table(
     ),
     sa.Column("commanded_deg", sa.JSON(none_as_null=True)),
     sa.Column("joints_deg", sa.JSON(none_as_null=True)),
-    postgresql_partition_by="RANGE (month)",
 )  # fmt: skip
-PARTS = (FRAME, VERDICT, DEVICE, ALARM, LENGTH, GRID, STREAM, DOCUMENT, POINT)
+PARTS = (OUTCOME, FRAME, VERDICT, DEVICE, ALARM, LENGTH, GRID, STREAM, DOCUMENT, POINT)
 
 
 def grouped(

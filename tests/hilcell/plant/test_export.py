@@ -336,7 +336,7 @@ def test_a_place_that_is_taken_is_left_as_it_is(empty: Auditor) -> None:
         "UPDATE frame SET matrix = replace(matrix, '1.0', '1.5') WHERE key = 'world'",
         "UPDATE run SET exit = 1",
         "UPDATE run SET points = points + 1",
-        "UPDATE run SET \"row\" = replace(\"row\", 'finished', 'aborted')",
+        "UPDATE outcome SET \"row\" = replace(\"row\", 'finished', 'aborted')",
         "DELETE FROM verdict",
         "INSERT INTO alarm SELECT digest, 99, ended, 'HC-B23', 'x', 'x', 'x', 'x' FROM run",
         "UPDATE device SET serial = 'other' WHERE kind = 'tracker'",

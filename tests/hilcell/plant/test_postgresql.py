@@ -1,11 +1,10 @@
-"""What only a server has: roles, partitions, rights, logins; and the schema on both stores."""
+"""What only a server has: roles, rights, logins; and the schema on both stores."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from datetime import UTC, datetime
 from itertools import cycle
 from math import nextafter
 from pathlib import Path
@@ -26,7 +25,7 @@ from hilcell.plant.tables import GRID, HEAD, LENGTH, PARTS, POINT, RUN, TABLES
 from tests.hilcell.plant.conftest import NOW, refused
 from tests.hilcell.plant.server import Server
 from tests.hilcell.plant.test_export import private
-from tests.hilcell.plant.year import Model, Run
+from tests.hilcell.plant.year import Model, Run, extend
 from tests.whole.bench import command
 
 BOTH = ["office", pytest.param("plant", marks=pytest.mark.process)]
@@ -42,10 +41,6 @@ def name_of(database: Database) -> str:
     return str(database.engine.url.database)
 
 
-def _ours(thing: object, name: str, kind: str, reflected: bool, other: object) -> bool:
-    return not (kind == "table" and name.startswith("point_"))
-
-
 @pytest.mark.parametrize("kind", BOTH)
 def test_a_store_keeps_each_number_to_its_last_digit(
     kind: str, model: Model, tmp_path: Path, request: pytest.FixtureRequest
@@ -53,7 +48,7 @@ def test_a_store_keeps_each_number_to_its_last_digit(
     """Its tables are those of the migrations; what is read back has the digest of what was kept."""
     database: Database = request.getfixturevalue(kind)
     with database.transaction() as connection:
-        context = MigrationContext.configure(connection, opts={"include_object": _ours})
+        context = MigrationContext.configure(connection)
         assert compare_metadata(context, TABLES) == []
     assert ScriptDirectory(str(MIGRATIONS)).get_heads() == [HEAD]
     records = read_records(model.write(tmp_path, Run("a", "north", "HC-1", NOW)))
@@ -95,10 +90,57 @@ def test_a_store_keeps_each_number_to_its_last_digit(
     assert rows_digest(found) != run["digest"]
 
 
-@pytest.mark.process
-def test_tables_are_made_once_in_any_encoding_and_in_months(
-    plant: Database, runs: Path, model: Model, postgresql: Server
+@pytest.mark.parametrize("kind", BOTH)
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1), (1, 2, 0)])
+def test_the_newest_revision_is_current_in_whatever_order_they_arrive(
+    kind: str, order: tuple[int, ...], model: Model, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
+    database: Database = request.getfixturevalue(kind)
+    folder = model.write(tmp_path / "runs", Run("a", "north", "HC-1", NOW))
+    records = [read_records(folder)]
+    for n in range(2):
+        extend(folder, [(NOW, "event", "", {"what": "note", "text": str(n)})])
+        records.append(read_records(folder))
+    for n, arrived in enumerate(order):
+        with database.transaction() as connection:
+            write(connection, run_record("a", records[arrived]), heads(records[arrived]))
+            newest = connection.execute(text("SELECT revision FROM current_run")).scalars().all()
+        assert newest == [max(records[each][-1].seq for each in order[: n + 1])]
+
+
+@pytest.mark.process
+def test_of_two_revisions_that_arrive_at_once_the_newest_is_current(
+    plant: Database, model: Model, tmp_path: Path, postgresql: Server
+) -> None:
+    """The second waits for the first, and sees it."""
+    folder = model.write(tmp_path / "runs", Run("a", "north", "HC-1", NOW))
+    first = read_records(folder)
+    extend(folder, [(NOW, "event", "", {"what": "note", "text": "later"})])
+    second = read_records(folder)
+    waiting = (
+        "SELECT 1 FROM pg_stat_activity WHERE wait_event_type = 'Lock' AND datname = "
+        f"'{name_of(plant)}'"
+    ).encode()
+
+    def write_first() -> None:
+        url = postgresql.url(name_of(plant))
+        with closing(Database(url)) as other, other.transaction() as connection:
+            write(connection, run_record("a", first), heads(first))
+
+    late = threading.Thread(target=write_first)
+    with plant.transaction() as connection:
+        write(connection, run_record("a", second), heads(second))
+        late.start()
+        with asking(postgresql.url()) as owner:
+            while owner.execute(waiting).fetchone() is None:
+                assert late.is_alive()
+    late.join()
+    with asking(postgresql.url(name_of(plant))) as asked:
+        assert asked.execute("SELECT revision FROM current_run").fetchall() == [(len(second),)]
+
+
+@pytest.mark.process
+def test_tables_are_made_once_in_any_encoding(runs: Path, model: Model, postgresql: Server) -> None:
     _two_that_make_the_tables_at_once_make_them_once(postgresql)
     for encoding in ("SQL_ASCII", "LATIN1"):
         name = f"in_{encoding}".lower()
@@ -111,13 +153,6 @@ def test_tables_are_made_once_in_any_encoding_and_in_months(
             assert ship(runs / name, database).runs == 1
             with database.transaction() as connection:
                 assert connection.execute(select(RUN.c.cell)).scalar() == "Köln"
-    model.write(runs, Run("far", "north", "HC-1", datetime(2199, 5, 1, tzinfo=UTC)))
-    ship(runs, plant)
-    with asking(postgresql.url(name_of(plant))) as asked:
-        months = asked.execute(
-            "SELECT tableoid::regclass::text, count(DISTINCT digest) FROM point GROUP BY 1"
-        ).fetchall()
-    assert sorted(months) == [("point_2026_09", 1), ("point_2026_10", 1), ("point_other", 1)]
     url = postgresql.make()
     with closing(Database(url)) as database, database.transaction() as connection:
         connection.execute(text("CREATE TABLE orders (n integer)"))
@@ -169,11 +204,11 @@ def test_cells_may_insert_only_and_engineers_may_read_only(
             "SELECT * FROM point", "SELECT * FROM document",
             "SELECT name FROM run", "UPDATE run SET name = 'x'",
             "DELETE FROM run", "DELETE FROM point", "SELECT * FROM verdict", "DROP TABLE run",
-            "DELETE FROM alembic_version", "TRUNCATE point", "SELECT * FROM point_2026_09",
+            "DELETE FROM alembic_version", "TRUNCATE point",
         ],
         "engineer_user": [
             "INSERT INTO alarm SELECT * FROM alarm", "UPDATE run SET name = 'x'",
-            "DELETE FROM run", "SELECT plant_month('2026-01-01')", "DROP TABLE point",
+            "DELETE FROM run", "DROP TABLE point",
         ],
     }  # fmt: skip
     for user, orders in asked.items():

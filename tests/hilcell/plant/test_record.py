@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from hypothesis import strategies as st
 from hilcell.journal.journal import Record
 from hilcell.journal.runs import read_records
 from hilcell.plant.record import RunNotFinished, RunRecord, heads, rows_digest, run_record
-from hilcell.plant.tables import DEVICE, FRAME, GRID, POINT, STREAM
+from hilcell.plant.tables import DEVICE, FRAME, GRID, OUTCOME, POINT, STREAM
 from hilcell.plant.tables import RUN as RUNS
 from tests.whole.golden import GoldenRuns
 
@@ -69,7 +68,6 @@ def test_a_record_holds_what_the_run_measured(records: list[Record]) -> None:
     assert kinds == {"drive", "strip", "robot", "tracker"}
     (grid,) = record.rows[GRID]
     assert np.array(grid["errors_mm"]).shape == (27, 3)
-    assert str(record.rows[RUNS][0]["month"]) == f"{records[0].t[:7]}-01"
     assert record.rows[RUNS][0]["head"] == heads(records)[-1]
     assert record.row.exit == 0
 
@@ -135,9 +133,9 @@ def test_a_stream_is_kept_by_its_digest(records: list[Record]) -> None:
 def test_a_run_of_another_name_or_another_plan_is_another_run(records: list[Record]) -> None:
     record = run_record(RUN, records)
     (run,) = record.rows[RUNS]
-    month = {**record.rows, RUNS: [{**run, "month": date(2001, 1, 1)}]}  # the partition
+    renamed = {**record.rows, RUNS: [{**run, "cell": "other"}]}
     assert rows_digest(record.rows) == digest(record)
-    assert rows_digest(month) != digest(record)
+    assert rows_digest(renamed) != digest(record)
     assert run_record("other", records).run_key != record.run_key
     plan = changed(records, 0, lambda body: body.update(operator="Bob"))
     assert run_record(RUN, plan).run_key != record.run_key
@@ -161,6 +159,6 @@ def test_a_run_that_is_not_over_has_no_record(records: list[Record]) -> None:
 
 def test_a_text_holds_nothing_that_a_database_refuses(records: list[Record]) -> None:
     plan = changed(records, 0, lambda body: body.update(operator="A\0nn"))
-    (run,) = run_record(RUN, plan).rows[RUNS]
-    assert isinstance(run["row"], dict)
-    assert run["row"]["operator"] == "A\N{REPLACEMENT CHARACTER}nn"
+    (outcome,) = run_record(RUN, plan).rows[OUTCOME]
+    assert isinstance(outcome["row"], dict)
+    assert outcome["row"]["operator"] == "A\N{REPLACEMENT CHARACTER}nn"

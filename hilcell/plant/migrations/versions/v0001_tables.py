@@ -1,4 +1,4 @@
-"""All tables; on PostgreSQL a partition of points by month, which a function makes for the cells.
+"""All tables; the view of the newest revisions, and the trigger that keeps which these are.
 
 The next migration first writes out here what `hilcell.plant.tables` has until then.
 """
@@ -10,29 +10,26 @@ from hilcell.plant.tables import TABLES
 revision = "0001"
 down_revision = None
 
-MONTHS = """
-CREATE FUNCTION plant_month(first date) RETURNS void
-LANGUAGE plpgsql SECURITY DEFINER SET search_path FROM CURRENT AS $$
-DECLARE partition text := 'point_' || to_char(first, 'YYYY_MM');
-BEGIN
-    IF to_regclass(partition) IS NOT NULL OR first <> date_trunc('month', first)
-       OR first < date '2010-01-01' OR first > now() + interval '2 months' THEN
-        RETURN;
-    END IF;
-    PERFORM pg_advisory_xact_lock(hashtext('hilcell.plant_month'));
-    EXECUTE format(
-        'CREATE TABLE IF NOT EXISTS %I PARTITION OF point FOR VALUES FROM (%L) TO (%L)',
-        partition, first, (first + interval '1 month')::date
-    );
-EXCEPTION WHEN check_violation THEN
-    RETURN;
-END $$
+KEPT = """
+    UPDATE run SET newest = NOT newest WHERE run_key = NEW.run_key AND newest <> (
+        revision = (SELECT max(revision) FROM run AS every WHERE every.run_key = NEW.run_key));
 """
+# The lock: of two revisions at once, each would miss the other.
+ON_POSTGRESQL = f"""
+CREATE FUNCTION plant_newest() RETURNS trigger
+LANGUAGE plpgsql SECURITY DEFINER SET search_path FROM CURRENT AS $$
+BEGIN
+    PERFORM pg_advisory_xact_lock(hashtextextended(NEW.run_key::text, 0));
+    {KEPT}
+    RETURN NULL;
+END $$;
+REVOKE EXECUTE ON FUNCTION plant_newest() FROM PUBLIC;
+CREATE TRIGGER run_newest AFTER INSERT ON run FOR EACH ROW EXECUTE FUNCTION plant_newest();
+"""
+ON_SQLITE = f"CREATE TRIGGER run_newest AFTER INSERT ON run BEGIN {KEPT} END"
 
 
 def upgrade() -> None:
     TABLES.create_all(op.get_bind(), checkfirst=False)
-    if op.get_bind().dialect.name == "postgresql":
-        op.execute("CREATE TABLE point_other PARTITION OF point DEFAULT")
-        op.execute(MONTHS)
-        op.execute("REVOKE EXECUTE ON FUNCTION plant_month(date) FROM PUBLIC")
+    op.execute("CREATE VIEW current_run AS SELECT * FROM run WHERE newest")
+    op.execute(ON_POSTGRESQL if op.get_bind().dialect.name == "postgresql" else ON_SQLITE)
