@@ -7,7 +7,7 @@ dither of the counts, faults, the controller's rounding of angles.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
 
@@ -53,7 +53,15 @@ class InProcessCell:
         if isinstance(truth.rail, RailTruth):
             self.rail = DirectRail(truth.rail, passing, self.clock, cell)
         self.robot: Robot = DirectRobot(truth.robot, passing, self.clock, cell)
-        self.tracker: Tracker = DirectTracker(truth, self.clock, cell)
+        tracker = DirectTracker(truth, self.clock, cell)
+        self.tracker: Tracker = tracker
+        self._truth, self._tracker = truth, tracker
+
+    def true_places(self, taken_s: Sequence[float]) -> tuple[Array, Array]:
+        """Return true places (N, 3) at readings, and of the floor nests (M, 3), in {W}."""
+        places = self._truth.places_in_world()
+        nests_mm = [places[nest.name] for nest in self._truth.cell.layout.floor]
+        return np.array([self._tracker.true_mm[at_s] for at_s in taken_s]), np.array(nests_mm)
 
 
 class EventClock:
@@ -207,6 +215,7 @@ class DirectTracker:
 
     def __init__(self, truth: CellTruth, clock: Clock, cell: Cell) -> None:
         self._truth, self._clock, self._radius_mm = truth, clock, cell.tracker.find_radius_mm
+        self.true_mm: dict[float, Array] = {}  # (3,) in {W} of the reflector, by the reading's time
 
     def connect(self) -> list[Identity]:
         return [Identity("Tracker", "direct", "1", ADDRESS, True)]
@@ -219,7 +228,8 @@ class DirectTracker:
         self, near_mm: Array, reflector: str, samples: int, *, back: bool = False
     ) -> TrackerReading:
         """Measure the reflector nearest to (3,); raises `NoReading` where there is none."""
-        found = self._truth.tracker.measurements(self._found(near_mm), samples, back=back)
+        name = self._found(near_mm)
+        found = self._truth.tracker.measurements(name, samples, back=back)
         if found is None:
             raise NoReading("HC-T10", "Tracker", "measure", "the beam broke")
         measure_s = 2.5
@@ -232,8 +242,9 @@ class DirectTracker:
             mean_mm = points_mm.sum(axis=0) / len(points_mm)
             off_mm = points_mm - mean_mm
             xyz_mm, std_mm = mean_mm, np.sqrt((off_mm * off_mm).sum(axis=0) / (len(points_mm) - 1))
-        air = self._truth.tracker.air()
-        return TrackerReading(xyz_mm, std_mm, samples, reflector, air, self._clock.pc_s())
+        air, taken_s = self._truth.tracker.air(), self._clock.pc_s()
+        self.true_mm[taken_s] = self._truth.reflectors_in_world()[name]
+        return TrackerReading(xyz_mm, std_mm, samples, reflector, air, taken_s)
 
     @contextmanager
     def stream(self, near_mm: Array, reflector: str, rate_hz: float) -> Iterator[DirectStream]:

@@ -626,13 +626,19 @@ class RecordingEnded(HilcellError):
 class InProcessCell(Protocol):
     """A simulated cell without wires, built of a cell and the seeds of machine and run.
 
-    Time is event time.
+    Time is event time. A run uses devices and clock alone; `true_places` is for those who judge it
+    afterwards.
     """
 
     rail: Rail
     robot: Robot
     tracker: Tracker
     clock: Clock
+
+    def true_places(self, taken_s: Sequence[float]) -> tuple[Array, Array]:
+        """Return the places (N, 3), mm, of the reflectors at readings taken at times (N,), and
+        those of the cell file's floor nests, where they really are, in one frame.
+        """
 
 
 @dataclass(frozen=True, slots=True)

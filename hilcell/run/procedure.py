@@ -25,7 +25,7 @@ from hilcell.journal.log import Log
 from hilcell.model.events import Connected, StepBegun
 from hilcell.model.plan import PlannedStep
 from hilcell.model.records import Kind
-from hilcell.ports import HilcellError, NoReading, StripLost
+from hilcell.ports import HilcellError, InProcessCell, NoReading, StripLost
 from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_slide_travel
@@ -250,14 +250,16 @@ def run_in_process(
     machine_seed: int,
     folder: Path,
     plan: Plan | None = None,
+    simulated: InProcessCell | None = None,
 ) -> Log:
     """Perform a procedure on a simulated cell; return its log, without an end.
 
     ``seed`` draws the random targets, ``machine_seed`` the machine; ``folder`` is that of streams.
-    ``plan`` is the procedure's for this cell and seed, if known. Raises `HilcellError`.
+    ``plan`` is the procedure's for this cell and seed, ``simulated`` the cell of these seeds, if
+    known. Raises `HilcellError`.
     """
     plan = plan or procedure.plan(cell, seed)
-    simulated = in_process_cell(cell, machine_seed, seed)
+    simulated = simulated or in_process_cell(cell, machine_seed, seed)
     journal = MemoryJournal(folder, datetime.now(UTC).isoformat(timespec="milliseconds"))
     journal.append(
         "plan",

@@ -11,15 +11,23 @@ from pathlib import Path
 from typing import TypeAlias
 
 import msgspec
+import numpy as np
 
 from hilcell import __version__
-from hilcell.cell.devices import load_entry
+from hilcell.calibration.frames import world_from_tracker
+from hilcell.calibration.position_errors import targets
+from hilcell.cell.devices import in_process_cell, load_entry
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, convert
 from hilcell.decoding import decoded, typed
 from hilcell.errors import HilcellError
+from hilcell.geometry.frames import apply
+from hilcell.geometry.statistics import figures_of, lengths_mm
+from hilcell.journal.log import Log
+from hilcell.model.point import Sent
 from hilcell.model.results import Calibrated, Place, TargetBounds
 from hilcell.model.verdicts import OTHERS
+from hilcell.ports import Array, InProcessCell
 from hilcell.run.procedure import Procedure, run_in_process
 
 IDW = "idw_mm"
@@ -96,6 +104,7 @@ def calibrate_case(cell: bytes, machine: int, seed: int, expected: Mapping[str, 
         return CaseResult(CANNOT_BE, str(error))
     with tempfile.TemporaryDirectory(prefix="hilcell-study-") as folder:
         try:
+            made = in_process_cell(simulated, machine, seed)
             log = run_in_process(
                 simulated,
                 calibrate,
@@ -103,9 +112,11 @@ def calibrate_case(cell: bytes, machine: int, seed: int, expected: Mapping[str, 
                 machine_seed=machine,
                 folder=Path(folder),
                 plan=plan,
+                simulated=made,
             )
             result = typed(calibrate.result(log), Calibrated)
-            return CaseResult(DONE, "", plan.duration_s / 60.0, figures(result))
+            found = figures(result, true_errors_mm(log, made))
+            return CaseResult(DONE, "", plan.duration_s / 60.0, found)
         except SettingsError as error:  # an impossible machine
             return CaseResult(CANNOT_BE, str(error))
         except HilcellError as error:
@@ -127,11 +138,29 @@ def versions() -> dict[str, str]:
     }
 
 
-class _Validated:
-    """The validation of a run: at the grid's station, and at all others together."""
+def true_errors_mm(log: Log, simulated: InProcessCell) -> Array:
+    """Return the true 3D errors (N,) of all corrected targets at all stations, in mm.
 
-    def __init__(self, result: Calibrated) -> None:
-        self.result = result
+    Actual is where the machine put the tool at the very readings that count in the validation, with
+    its repeatability and warmth at that moment, without the tracker's errors. A part stands in the
+    hall: its frame is the {W} that the first three floor nests span where they really are. So the
+    errors of the {W} and of the base frames that the run measured are errors of the tool.
+    """
+    points = [p for station in log.cell.station for p in targets(log, station.name, Sent.CHOSEN)]
+    taken_s = [point.readings.tracker.taken_s for point in points if point.readings is not None]
+    places_mm, nests_mm = simulated.true_places(taken_s)
+    nominal_mm = np.array([point.nominal_mm for point in points])
+    return lengths_mm(apply(world_from_tracker(log.cell, nests_mm), places_mm) - nominal_mm)
+
+
+class _Validated:
+    """The validation of a run: at the grid's station, and at all others together.
+
+    ``true_mm`` (N,) are the true errors of all targets.
+    """
+
+    def __init__(self, result: Calibrated, true_mm: Array) -> None:
+        self.result, self.true = result, figures_of(true_mm)
         first, *_ = result.validation.values()
         others = (place for name, place in result.validation.items() if name == OTHERS)
         self.places = [first, *others]
@@ -160,6 +189,9 @@ RESULTS: Mapping[str, tuple[str, Callable[[_Validated], float | None]]] = {
         lambda r: max(place.chosen.p95 for place in r.places),
     ),
     "max_mm": ("largest error", lambda r: max(place.chosen.max for place in r.places)),
+    "true_mean_mm": ("true mean error after correction", lambda r: r.true.mean),
+    "true_p95_mm": ("95 % quantile of the true error", lambda r: r.true.p95),
+    "true_max_mm": ("largest true error", lambda r: r.true.max),
     "grid_mm": ("mean error at the grid's station", lambda r: r.places[0].chosen.mean),
     "others_mm": ("mean error at the other stations", lambda r: r.places[-1].chosen.mean),
     "before_mm": ("mean error before correction", lambda r: r.mean(lambda p: p.before.mean)),
@@ -184,7 +216,7 @@ RESULTS: Mapping[str, tuple[str, Callable[[_Validated], float | None]]] = {
 }
 
 
-def figures(result: Calibrated) -> dict[str, float]:
-    run = _Validated(result)
+def figures(result: Calibrated, true_mm: Array) -> dict[str, float]:
+    run = _Validated(result, true_mm)
     values = {name: value(run) for name, (_, value) in RESULTS.items()}
     return {name: value for name, value in values.items() if value is not None}
