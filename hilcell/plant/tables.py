@@ -2,7 +2,7 @@
 
 ``run`` has a row per revision of a run, the other tables refer to it by ``digest``. A trigger keeps
 ``run.newest`` in the transaction of the insert; the view ``current_run`` has the newest revisions.
-``run`` is narrow, since most questions read all of it: what is long stands in other tables.
+``run`` is narrow, since most questions read it whole; long columns are in the other tables.
 """
 
 from __future__ import annotations
