@@ -40,6 +40,9 @@ SETTINGS = {
     "distributed.admin.log-length": 100,
     "distributed.scheduler.allowed-failures": 1,  # a second worker tries
     "distributed.scheduler.worker-ttl": f"{RESTARTED_S / 2:g}s",  # also Dask's polling period
+    "distributed.worker.profile.enabled": False,  # its samples take memory and processor
+    "distributed.scheduler.http.routes": [],  # pages that every user of the PC could read
+    "distributed.worker.http.routes": [],
 }
 DROPPED = "after 5 to 10 minutes, or once to twice the scheduler's worker-ttl"
 Say = Callable[[str], object]  # takes a message for the user
@@ -229,7 +232,11 @@ class Workers:
 
 @contextmanager
 def local_workers(count: int, say: Say) -> Iterator[Workers]:
-    """Start worker processes on this PC, one thread each; end them."""
+    """Start worker processes on this PC, one thread each; end them.
+
+    They, their scheduler and this process talk by TLS with certificates that only they have: every
+    other user of the PC could run code as this one by a loopback port without them.
+    """
     environment = {"OMP_NUM_THREADS": "1", "DASK_LOGGING__DISTRIBUTED": "critical"}
     with _quiet(), _environment(environment), ExitStack() as stack:
         try:
@@ -244,6 +251,8 @@ def local_workers(count: int, say: Say) -> Iterator[Workers]:
                         n_workers=count,
                         threads_per_worker=1,
                         processes=True,
+                        protocol="tls://",
+                        security=Security.temporary(),
                         host="127.0.0.1",
                         dashboard_address=None,
                         scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # not 8787

@@ -76,6 +76,51 @@ def test_workers_find_the_digits_of_this_process(tmp_path: Path) -> None:
     assert (folder / "report.html").read_text("utf-8").count("<svg") == 3
 
 
+FOREIGN = """
+import asyncio, json, os, ssl, sys
+from distributed.comm.core import connect
+from distributed.security import Security
+
+if os.getuid() == 0:
+    os.setuid(65534)  # nobody
+
+async def asked(address, given):
+    comm = await connect(address, timeout=5.0, **given)
+    try:
+        await comm.write({"op": "identity", "reply": True})
+        return str(await comm.read())
+    finally:
+        comm.abort()
+
+certified = Security.temporary().get_connection_args("client")  # by itself, and trusting anybody
+certified["ssl_context"].verify_mode = ssl.CERT_NONE
+ways = [("tcp", {}), ("tls", certified | {"require_encryption": False})]
+answers = []
+for place in sys.argv[1:]:
+    for protocol, given in ways:
+        try:
+            answers.append(asyncio.run(asked(f"{protocol}://{place}", given)))
+        except (OSError, ValueError):
+            pass
+print(json.dumps(answers))
+"""
+
+
+@pytest.mark.process
+@pytest.mark.usefixtures("_tracker")
+def test_another_user_of_the_pc_gets_no_answer() -> None:
+    """Neither from the scheduler nor from a worker, whose ports any user can connect to."""
+    with cluster.local_workers(1, print) as workers:
+        known = workers._client.scheduler_info()
+        addresses = [known["address"], *known["workers"]]
+        addresses += [each["nanny"] for each in known["workers"].values()]
+        places = [address.partition("://")[2] for address in addresses]
+        foreign = [sys.executable, "-c", FOREIGN, *places]
+        done = subprocess.run(foreign, capture_output=True, text=True, check=True)
+    assert len(places) == 3
+    assert json.loads(done.stdout) == []
+
+
 @contextmanager
 def studying(path: Path, folder: Path) -> Iterator[subprocess.Popen[str]]:
     """Run a study with a worker, in a session of its own as in a terminal."""
