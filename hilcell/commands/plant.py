@@ -31,7 +31,7 @@ from hilcell.sanitize import clean, counted, encodable, harmless, harmless_lines
 if TYPE_CHECKING:
     from sqlalchemy import Connection
 
-    from hilcell.plant.cells import CellState
+    from hilcell.plant.cells import CellState, Doubt
     from hilcell.plant.database import Database
     from hilcell.plant.equipment import (
         AlarmCount,
@@ -171,7 +171,8 @@ class Overview:
         from hilcell.plant.equipment import alarms, instruments, robots, worse_stations
 
         cell, robot = args.cell or "", args.robot or ""
-        states = cells(connection, datetime.now(UTC), args.max_age)
+        left_out: list[Doubt] = []
+        states = cells(connection, datetime.now(UTC), args.max_age, left_out)
         names = sorted({state.cell for state in states})
         if cell and cell not in names:
             raise HilcellError(f"unknown cell {cell[:80]!r}{did_you_mean(cell, names)}")
@@ -191,7 +192,7 @@ class Overview:
             stations=worse_stations(connection, cell, robot),
             instruments=instruments(connection, cell, robot),
             alarms=alarms(connection, cell, robot),
-            doubts=inconsistencies(connection, {state.cell for state in states}),
+            doubts=inconsistencies(connection, {state.cell for state in states}, left_out),
         )
 
 

@@ -6,21 +6,22 @@ Inconsistent are serial numbers or names that several cells or runs share, and c
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from operator import attrgetter
 
 import msgspec
-from sqlalchemy import CTE, ColumnElement, Connection, Text, and_, cast, func, or_, select
+from sqlalchemy import CTE, ColumnElement, Connection, Table, Text, and_, cast, func, or_, select
 
 from hilcell.calibration.validity import CLOCK_ERROR, MAX_AGE_DAYS
 from hilcell.decoding import decoded
 from hilcell.journal.calibration_status import statuses
 from hilcell.journal.index import RunRow, in_order
 from hilcell.plant.tables import OUTCOME, RUN, Row, grouped
-from hilcell.sanitize import clean
+from hilcell.sanitize import clean, counted
 
 CELL = (RUN.c.cell, RUN.c.serial, RUN.c.machine)
 Name = tuple[str, str, str]  # a cell: its name, its serial number, and which simulated machine
@@ -51,10 +52,16 @@ def selected(cell: str, robot: str) -> list[ColumnElement[bool]]:
     return [column == name for column, name in ((RUN.c.cell, cell), (RUN.c.robot, robot)) if name]
 
 
+Doubt = tuple[list[str], str]  # names of cells, text
+
+
 def cells(
-    connection: Connection, now: datetime, max_age_days: float = MAX_AGE_DAYS
+    connection: Connection,
+    now: datetime,
+    max_age_days: float = MAX_AGE_DAYS,
+    doubts: list[Doubt] | None = None,
 ) -> list[CellState]:
-    """Return the state of all cells, sorted by name."""
+    """Return the state of all cells, sorted by name; add the runs left out to ``doubts``."""
     every = _cell_keys()
     own = RUN.alias("own")
     last = (
@@ -66,10 +73,18 @@ def cells(
         .scalar_subquery()
     )
     query = select(*CELL, RUN.c.name, RUN.c.state, RUN.c.ended)
-    since = _runs_since(connection)
+    lasts = connection.execute(query.join_from(every, RUN, RUN.c.digest == last)).all()
+    known = {(row.cell, row.serial, row.machine) for row in lasts}
+    held = query.where(RUN.c.held).order_by(RUN.c.ended)
+    only_held = {
+        place: row
+        for row in connection.execute(held)
+        if (place := (row.cell, row.serial, row.machine)) not in known
+    }
+    since = _runs_since(connection, [] if doubts is None else doubts)
     states = [
         _state(row, since[row.cell, row.serial, row.machine], now, max_age_days)
-        for row in connection.execute(query.join_from(every, RUN, RUN.c.digest == last))
+        for row in (*lasts, *only_held.values())
     ]
     return sorted(states, key=attrgetter("cell", "serial", "machine"))
 
@@ -84,7 +99,7 @@ def _cell_keys() -> CTE:
     return keys.union_all(select(following).where(keys.c.key.is_not(None)))
 
 
-def _runs_since(connection: Connection) -> defaultdict[Name, list[RunRow]]:
+def _runs_since(connection: Connection, doubts: list[Doubt]) -> defaultdict[Name, list[RunRow]]:
     """Return each cell's runs since its newest valid calibration, which superseded all before."""
     every = _cell_keys()
     proven = (
@@ -102,13 +117,46 @@ def _runs_since(connection: Connection) -> defaultdict[Name, list[RunRow]]:
     for start in range(0, len(known), batch):
         own = or_(*known[start : start + batch])
         query = (
-            select(*CELL, cast(OUTCOME.c.row, Text).label("row"))
+            select(*_STATED, RUN.c.machine, cast(OUTCOME.c.row, Text).label("row"))
             .join(OUTCOME, OUTCOME.c.digest == RUN.c.digest)
             .where(own, RUN.c.newest)
         )
         for row in connection.execute(query):
-            runs[row.cell, row.serial, row.machine].append(decoded(row.row, RunRow))
+            with left_out(row, OUTCOME, doubts):
+                runs[row.cell, row.serial, row.machine].append(_run_row(row))
     return runs
+
+
+_TIMES = ("begun", "ended")
+_STATED = tuple(
+    RUN.c[name] for name in ("name", "cell", "serial", "procedure", "state", "exit", *_TIMES)
+)
+
+
+def _run_row(row: Row) -> RunRow:
+    """Return a run's row; raises `ValueError` where it is none, or contradicts the columns."""
+    run = decoded(row.row, RunRow)
+    for column in _STATED:
+        stated, own = getattr(run, column.name), getattr(row, column.name)
+        if column.name in _TIMES:
+            stated = datetime.fromisoformat(stated)
+        if stated != own:
+            raise ValueError(f"expected {column.name} {own}, got {stated}")
+    return run
+
+
+@contextmanager
+def left_out(run: Row, table: Table, doubts: list[Doubt]) -> Iterator[None]:
+    """Leave a run out whose rows cannot be read, and add it to ``doubts``."""
+    try:
+        yield
+    except (msgspec.MsgspecError, ValueError, TypeError, ArithmeticError, RecursionError) as error:
+        why = clean(" ".join(str(error).split()))[:200]
+        text = (
+            f"cell {clean(run.cell)}: run {clean(run.name)} is left out: its row in the table "
+            f"{table.name} is not one of a run: {why}"
+        )
+        doubts.append(([run.cell], text))
 
 
 def _state(last: Row, since: list[RunRow], now: datetime, max_age_days: float) -> CellState:
@@ -138,22 +186,23 @@ def _state(last: Row, since: list[RunRow], now: datetime, max_age_days: float) -
     )
 
 
-def inconsistencies(connection: Connection, cells: Collection[str] | None = None) -> list[str]:
-    """Return inconsistencies of serial numbers, names and clocks in the records of ``cells``."""
+def inconsistencies(
+    connection: Connection, cells: Collection[str], left_out: Iterable[Doubt] = ()
+) -> list[str]:
+    """Return inconsistencies of serial numbers, names and clocks in the records of ``cells``, and
+    which runs were left out.
+    """
     of = _Inconsistencies(connection)
-    checks = (of.serials, of.robots, of.namesakes, of.at_once, of.ahead, of.set_back)
-    every = (each for check in checks for each in check())
-    return [text for names, text in every if cells is None or not {*cells}.isdisjoint(names)]
-
-
-Inconsistency = tuple[list[str], str]  # names of cells, text
+    checks = (of.serials, of.robots, of.namesakes, of.at_once, of.held, of.set_back)
+    every = (*left_out, *(each for check in checks for each in check()))
+    return [text for names, text in every if not {*cells}.isdisjoint(names)]
 
 
 @dataclass(frozen=True, eq=False)
 class _Inconsistencies:
     connection: Connection
 
-    def serials(self) -> Iterator[Inconsistency]:
+    def serials(self) -> Iterator[Doubt]:
         query = select(RUN.c.serial, RUN.c.cell).where(RUN.c.serial != "").distinct()
         by_serial = grouped(self.connection, query.order_by(RUN.c.serial, RUN.c.cell), "serial")
         for (serial,), rows in by_serial.items():
@@ -163,7 +212,7 @@ class _Inconsistencies:
                 own = "give each cell its own in its cell file"
                 yield names, f"cells {cells} have the same serial number {clean(serial)}: {own}"
 
-    def robots(self) -> Iterator[Inconsistency]:
+    def robots(self) -> Iterator[Doubt]:
         place = (RUN.c.robot, RUN.c.cell, RUN.c.serial)
         first = func.min(RUN.c.begun)
         query = select(*place, first.label("first"), func.max(RUN.c.ended).label("last"))
@@ -179,7 +228,7 @@ class _Inconsistencies:
                 )
                 yield names, text
 
-    def namesakes(self) -> Iterator[Inconsistency]:
+    def namesakes(self) -> Iterator[Doubt]:
         columns = (RUN.c.cell, RUN.c.serial, RUN.c.name)
         query = select(*columns).group_by(*columns).order_by(*columns)
         query = query.having(func.count(RUN.c.run_key.distinct()) > 1)
@@ -192,7 +241,7 @@ class _Inconsistencies:
             )
             yield [cell], text
 
-    def at_once(self) -> Iterator[Inconsistency]:
+    def at_once(self) -> Iterator[Doubt]:
         """Yield real cells in which two runs overlap; first revisions only, for a re-opened run
         lasts from its begin to its last end.
         """
@@ -213,24 +262,23 @@ class _Inconsistencies:
             )
             yield [row.cell], text
 
-    def ahead(self) -> Iterator[Inconsistency]:
-        """Yield cells whose runs ended after their arrival by the server's clock."""
-        query = select(RUN.c.cell, RUN.c.ended, RUN.c.shipped, RUN.c.name)
-        query = query.where(RUN.c.ended > RUN.c.shipped).order_by(RUN.c.ended)
-        ahead = {
-            row.cell: row
-            for row in self.connection.execute(query)
-            if row.ended > row.shipped + CLOCK_ERROR
-        }
-        for row in ahead.values():
+    def held(self) -> Iterator[Doubt]:
+        """Yield cells with runs that are held apart and not decided on."""
+        columns = (RUN.c.cell, RUN.c.ended, RUN.c.shipped, RUN.c.shipped_by, RUN.c.name)
+        query = select(*columns).where(RUN.c.held, RUN.c.accepted.is_(None))
+        held = grouped(self.connection, query.order_by(RUN.c.ended), "cell")
+        for (cell,), rows in held.items():
+            row = rows[-1]
             hours = (row.ended - row.shipped).total_seconds() / 3600.0
+            login = f" (shipped by {clean(row.shipped_by)})" if row.shipped_by else ""
             text = (
-                f"cell {clean(row.cell)}: run {clean(row.name)} ended {hours:.1f} h after it "
-                "arrived: set the clock of its PC, or the server's"
+                f"cell {clean(cell)}: {counted(len(rows), 'run')} of the future held apart, the "
+                f"last is {clean(row.name)}{login}, which ended {hours:.1f} h after it arrived: "
+                "set the clock of its PC, or the server's; `hilcell plant held` accepts or removes"
             )
-            yield [row.cell], text
+            yield [cell], text
 
-    def set_back(self) -> Iterator[Inconsistency]:
+    def set_back(self) -> Iterator[Doubt]:
         """Yield cells whose runs ended before they began."""
         query = select(RUN.c.cell, func.max(RUN.c.name).label("name"), func.count().label("times"))
         query = query.where(RUN.c.ended < RUN.c.begun).group_by(RUN.c.cell)

@@ -19,7 +19,8 @@ from sqlalchemy import URL, Connection, Engine, event, exc, text
 from hilcell.decoding import Json
 from hilcell.errors import HilcellError, StoreUnavailable
 from hilcell.journal.index import NAME as INDEX
-from hilcell.plant.tables import HEAD, PARTS, RUN
+from hilcell.plant.rights import CELL, CELL_COLUMNS, ENGINEER, admit
+from hilcell.plant.tables import HEAD, RUN
 from hilcell.sanitize import clean
 
 MIGRATIONS = Path(__file__).with_name("migrations")
@@ -27,12 +28,10 @@ POSTGRESQL = "postgresql"
 BUSY_S = 30.0  # wait for another process that writes an SQLite file
 HIDDEN = "***"
 SHIPPED = "plant.sqlite"  # cache in the folder of runs: which journals were shipped
-CELL, ENGINEER = "hilcell_cell", "hilcell_engineer"  # roles
 # A failed connection has no SQLSTATE: only the English message of the server, or a request for a
 # password, tells why.
 FATAL = "FATAL: "  # the server's reply to a connection
 SECRET = re.compile("passw|pwd", re.IGNORECASE)  # in the names of the URL's options
-CELL_COLUMNS = ("run_key", "revision", "head")  # columns of `run` that cells may read
 
 
 class PlantError(HilcellError):
@@ -117,7 +116,7 @@ class Database:
             config.attributes["connection"] = connection
             command.upgrade(config, "head")
             if self._remote:
-                self._grant(connection)
+                admit(connection)
         return before or ""
 
     def close(self) -> None:
@@ -150,28 +149,6 @@ class Database:
             return None
         version = connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
         return None if version is None else str(version)
-
-    @staticmethod
-    def _grant(connection: Connection) -> None:
-        """Let cells insert and engineers read; create the two roles if needed."""
-        for role in (CELL, ENGINEER):
-            exists = text("SELECT 1 FROM pg_roles WHERE rolname = :role")
-            if connection.execute(exists, {"role": role}).scalar() is None:
-                # All databases of a server share the roles: another `init` may create them now.
-                create = f"""
-                DO $$ BEGIN CREATE ROLE {role} NOLOGIN;
-                EXCEPTION WHEN duplicate_object OR unique_violation THEN NULL;
-                END $$
-                """
-                connection.execute(text(create))
-        tables = ", ".join(table.name for table in (RUN, *PARTS))
-        for order in (
-            f"GRANT INSERT ON {tables} TO {CELL}",
-            f"GRANT SELECT ({', '.join(CELL_COLUMNS)}) ON {RUN.name} TO {CELL}",
-            f"GRANT SELECT ON {tables}, current_run TO {ENGINEER}",
-            f"GRANT SELECT ON alembic_version TO {CELL}, {ENGINEER}",
-        ):
-            connection.execute(text(order))
 
     def _check(self, connection: Connection) -> None:
         version = self._version(connection)

@@ -42,6 +42,7 @@ from hilcell.plant.tables import (
     OUTCOME,
     POINT,
     RUN,
+    SERVER_COLUMNS,
     STREAM,
     VERDICT,
     Utc,
@@ -82,6 +83,12 @@ def heads(records: Sequence[Record]) -> list[str]:
 def run_key_of(run: str, records: Sequence[Record]) -> tuple[UUID, int]:
     first = chain(b"", records[0]).hex()
     return first_128_bits(f"{run}\n{first}".encode()), records[-1].seq
+
+
+def cell_key_of(row: RunRow) -> UUID:
+    """Return the key of a run's cell, which the server computes as well."""
+    names = [_replace_nul(each) for each in (row.cell, row.serial, _machine(row))]
+    return first_128_bits(json.dumps(names, ensure_ascii=False).encode())
 
 
 def run_record(
@@ -135,7 +142,7 @@ def run_record(
             "run_key": run_key,
             "revision": revision,
             "head": head,
-            "cell_key": first_128_bits(msgspec.json.encode((row.cell, row.serial, _machine(row)))),
+            "cell_key": cell_key_of(row),
             "machine": _machine(row),
             "begun": _moment(row.begun),
             "ended": _moment(row.ended),
@@ -166,7 +173,7 @@ def _lines(table: Table, rows: Iterable[Values]) -> Iterator[str]:
     numbers = {each.name for each in table.columns if isinstance(each.type, Double)}
     moments = {each.name for each in table.columns if isinstance(each.type, Utc)}
     encode = json.JSONEncoder(sort_keys=True, default=str).encode
-    excluded = {"digest", "shipped", "newest"}  # the digest itself, and what the server adds
+    excluded = {"digest", *SERVER_COLUMNS}
     for row in rows:
         values = {name: value for name, value in row.items() if name not in excluded}
         for name, value in values.items():

@@ -15,17 +15,18 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from shlex import quote
 from typing import NamedTuple
 from uuid import UUID
 
 import msgspec
-from sqlalchemy import Connection, select
+from sqlalchemy import Connection, func, or_, select, tuple_
 from sqlalchemy.dialects import postgresql, sqlite
 
 from hilcell.calibration.file import seal_problems
 from hilcell.errors import HilcellError
 from hilcell.journal.index import NEVER_BEGAN, RunRow, in_order, own_file, read_index
-from hilcell.journal.journal import StorageError
+from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.runs import CALIBRATION, JOURNAL, is_run, read_records
 from hilcell.model.records import OVER
 from hilcell.plant.database import (
@@ -36,13 +37,21 @@ from hilcell.plant.database import (
     PlantUnavailable,
     RightMissing,
 )
-from hilcell.plant.record import Document, RunNotFinished, RunRecord, heads, run_key_of, run_record
-from hilcell.plant.tables import POINT, RUN
+from hilcell.plant.record import (
+    Document,
+    RunNotFinished,
+    RunRecord,
+    cell_key_of,
+    heads,
+    run_key_of,
+    run_record,
+)
+from hilcell.plant.tables import CLAIM, LOGIN, POINT, RUN, Row
 from hilcell.sanitize import clean
 
 BATCH = 500  # keys of one query
 
-Key = tuple[UUID, int]  # run key and revision
+Key = tuple[UUID, UUID, int]  # of the cell, of the run, and its revision
 
 
 class Forked(PlantError):
@@ -51,13 +60,17 @@ class Forked(PlantError):
     code = "HC-J22"
 
 
+class AnothersCell(PlantError):
+    """The cell of a run belongs to another login."""
+
+
 def shipped_revisions(connection: Connection, keys: Iterable[Key]) -> set[Key]:
-    runs = sorted({run for run, _ in keys})
+    columns = (RUN.c.cell_key, RUN.c.run_key, RUN.c.revision)
+    runs = sorted({(cell, run) for cell, run, _ in keys})
     found: set[Key] = set()
     for start in range(0, len(runs), BATCH):
-        query = RUN.c.run_key.in_(runs[start : start + BATCH])
-        rows = connection.execute(select(RUN.c.run_key, RUN.c.revision).where(query))
-        found |= {(row.run_key, row.revision) for row in rows}
+        query = tuple_(*columns[:2]).in_(runs[start : start + BATCH])
+        found |= {tuple(row) for row in connection.execute(select(*columns).where(query))}
     return found
 
 
@@ -65,18 +78,47 @@ def write(connection: Connection, record: RunRecord, heads: Sequence[str], ended
     """Write a run in the transaction of ``connection``; return whether it is new.
 
     ``heads`` are the hashes of its journal after each record, ``ended`` is the index of its first
-    end: no earlier revision was ever shipped. Raises `Forked`.
+    end: no earlier revision was ever shipped. Raises `Forked` and `AnothersCell`.
     """
+    run: Row = record.rows[RUN][0]
+    _claim(connection, run)
     _refuse_forked(connection, record, heads, ended)
     insert = (postgresql if connection.dialect.name == POSTGRESQL else sqlite).insert
     added = insert(RUN).on_conflict_do_nothing().execution_options(preserve_rowcount=True)
-    done = connection.execute(added, record.rows[RUN])
+    done = connection.execute(added, run)
     if not done.rowcount:
+        if not shipped_revisions(connection, [(run["cell_key"], record.run_key, record.revision)]):
+            raise Forked(
+                f"run {record.row.name}: another run in the database has its digest; the "
+                "database's owner searches it by `digest` in the table `run`"
+            )
         return False
     for table, every in record.rows.items():
         if every and table is not RUN:
             connection.execute(table.insert(), every)
     return True
+
+
+def _claim(connection: Connection, run: Row) -> None:
+    """Claim the cell of a run, if nobody has, for a login that is held to its cells."""
+    if connection.dialect.name != POSTGRESQL:
+        return
+    cell, serial = run["cell"], run["serial"]
+    free = select(func.row_security_active(RUN.name)).scalar_subquery().is_(False)
+    own = select(CLAIM.c.cell).where(CLAIM.c.cell == cell, CLAIM.c.serial == serial)
+    known = select(or_(free, own.exists()))
+    if connection.execute(known).scalar_one():
+        return
+    first = postgresql.insert(CLAIM).values(cell=cell, serial=serial).on_conflict_do_nothing()
+    connection.execute(first)
+    if not connection.execute(known).scalar_one():
+        login = connection.execute(select(LOGIN)).scalar_one()
+        owner = f"hilcell plant assign {quote(cell)} --serial {quote(serial)} --login {login}"
+        raise AnothersCell(
+            f"run {run['name']}: cell {clean(cell)}, serial number {clean(serial) or 'none'}, "
+            f"belongs to another login than {login}: give this cell its own name and serial number "
+            f"in its cell file, or let the database's owner run `{owner}`"
+        )
 
 
 def _refuse_forked(
@@ -85,7 +127,9 @@ def _refuse_forked(
     """Refuse a journal that differs from the shipped revisions, or was shipped under another name:
     its measurements would count twice.
     """
-    query = select(RUN.c.revision, RUN.c.head).where(RUN.c.run_key == record.run_key)
+    (run,) = record.rows[RUN]
+    own_cell = RUN.c.cell_key == run["cell_key"]  # a journal names its cell: no other has its heads
+    query = select(RUN.c.revision, RUN.c.head).where(own_cell, RUN.c.run_key == record.run_key)
     found = connection.execute(query).all()
     for revision, head in found:
         if revision <= len(heads) and heads[revision - 1] != head:
@@ -97,8 +141,8 @@ def _refuse_forked(
         return
     for start in range(ended, len(heads), BATCH):
         same = RUN.c.head.in_(heads[start : start + BATCH])
-        same_journal = select(RUN.c.revision).where(same, RUN.c.run_key != record.run_key).limit(1)
-        if connection.execute(same_journal).first() is not None:
+        same_journal = select(RUN.c.revision).where(own_cell, same, RUN.c.run_key != record.run_key)
+        if connection.execute(same_journal.limit(1)).first() is not None:
             raise Forked(
                 f"run {record.row.name}: its journal was shipped under another name: the folder "
                 "was renamed, or is a copy or a link; keep one, under the shipped name"
@@ -195,7 +239,7 @@ def ship(
     for row in _missing(rows, database, here, done):
         try:
             records = read_records(runs / row.name)
-            here[row.name] = run_key_of(row.name, records)
+            here[row.name] = _key(row, records)
             record = run_record(row.name, records, attachments(runs / row.name, row))
             ended = next((n for n, each in enumerate(records) if each.kind == "end"), 0)
             with database.transaction() as connection:
@@ -237,26 +281,29 @@ def _waiting(runs: Path, rows: Sequence[RunRow]) -> dict[str, Key]:
     keys: dict[str, Key] = {}
     for row in rows:
         with suppress(HilcellError, *_BROKEN):
-            keys[row.name] = run_key_of(row.name, read_records(runs / row.name))
+            keys[row.name] = _key(row, read_records(runs / row.name))
     return keys
+
+
+def _key(row: RunRow, records: Sequence[Record]) -> Key:
+    return cell_key_of(row), *run_key_of(row.name, records)
 
 
 def _newer_in_database(database: Database, here: dict[str, Key]) -> dict[str, Behind]:
     with database.transaction() as connection:
-        newest = dict(
-            sorted(shipped_revisions(connection, here.values()))
-        )  # the last revision stays
+        shipped = sorted(shipped_revisions(connection, here.values()))
+    newest = {tuple(run): revision for *run, revision in shipped}  # the last revision stays
     return {
-        name: Behind(revision, newest[run_key])
-        for name, (run_key, revision) in here.items()
-        if newest.get(run_key, 0) > revision
+        name: Behind(revision, newest[tuple(run)])
+        for name, (*run, revision) in here.items()
+        if newest.get(tuple(run), 0) > revision
     }
 
 
 def _one_line(run: str, reason: str) -> str:
     """Return a reason as one line that names the run."""
     line = "; ".join(each.strip() for each in reason.splitlines())
-    return line if run in line else f"run {run}: {line}"
+    return line if line.startswith(f"run {run}") else f"run {run}: {line}"
 
 
 def _missing(
@@ -290,13 +337,15 @@ class _ShippedCache:
         with suppress(sqlite3.Error), closing(self._open()) as base:
             for name, fingerprint, run_key, revision in base.execute("SELECT * FROM seen"):
                 with suppress(OSError):
-                    if name in by_name and fingerprint == self._fingerprint(by_name[name]):
-                        known[name] = UUID(run_key), revision
+                    row = by_name.get(name)
+                    if row is not None and fingerprint == self._fingerprint(row):
+                        known[name] = cell_key_of(row), UUID(run_key), revision
         return known
 
     def add(self, row: RunRow, key: Key) -> None:
         with suppress(sqlite3.Error, OSError), closing(self._open()) as base:
-            values = (row.name, self._fingerprint(row), str(key[0]), key[1])
+            _, run_key, revision = key
+            values = (row.name, self._fingerprint(row), str(run_key), revision)
             base.execute("INSERT OR REPLACE INTO seen VALUES (?, ?, ?, ?)", values)
 
     def _fingerprint(self, row: RunRow) -> str:

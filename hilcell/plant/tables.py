@@ -7,11 +7,19 @@
 
 from __future__ import annotations
 
+import sys
 from collections import defaultdict
+from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, get_args
 
 import sqlalchemy as sa
+from sqlalchemy.ext.compiler import compiles
+from sqlalchemy.sql.compiler import SQLCompiler
+
+from hilcell.alarms.catalogue import Severity
+from hilcell.calibration.validity import CLOCK_ERROR
+from hilcell.model.records import OVER
 
 Row = Any  # a row of an answer: its columns by their names
 HEAD = "0001"  # of the schema; raised when a table, a record or a meaning changes
@@ -37,49 +45,184 @@ class Utc(sa.TypeDecorator[datetime]):
 
 
 TABLES = sa.MetaData()
+LONGEST = 30_000  # bytes of a text
+LONGEST_JSON = 4 * 2**20
+LONGEST_DOCUMENT = 64 * 2**20
+FARTHEST_MM = 1e6  # of what is averaged: sums of more would overflow
 
 
-def _part(name: str, *columns: sa.Column[Any] | sa.Index) -> sa.Table:
-    digest = sa.Column("digest", sa.Uuid, sa.ForeignKey("run.digest"), primary_key=True)
-    return sa.Table(name, TABLES, digest, *columns)
+class _Either(sa.ColumnElement[Any]):
+    """SQL that differs between the two databases."""
+
+    inherit_cache = False
+
+    def __init__(self, postgresql: str, sqlite: str) -> None:
+        self.sql = {"postgresql": postgresql, "sqlite": sqlite}
 
 
-def _number_column() -> sa.Column[int]:
-    return sa.Column("n", sa.Integer, primary_key=True)
+@compiles(_Either)
+def _compiled(either: _Either, compiler: SQLCompiler, **_: object) -> str:
+    return either.sql[compiler.dialect.name]
 
 
-def _text_column(name: str) -> sa.Column[str]:
-    return sa.Column(name, sa.Text, nullable=False)
-
-
-RUN = sa.Table(
-    "run",
-    TABLES,
-    sa.Column("digest", sa.Uuid, primary_key=True),
-    sa.Column("run_key", sa.Uuid, nullable=False),
-    sa.Column("revision", sa.Integer, nullable=False),
-    sa.Column("head", sa.String(64), nullable=False),
-    sa.Column("cell_key", sa.Uuid, nullable=False),
-    _text_column("name"),
-    _text_column("cell"),
-    _text_column("serial"),
-    sa.Column("simulated", sa.Boolean, nullable=False),
-    _text_column("machine"),
-    _text_column("procedure"),
-    _text_column("state"),
-    sa.Column("exit", sa.Integer, nullable=False),
-    sa.Column("begun", Utc, nullable=False),
-    sa.Column("ended", Utc, nullable=False),
-    sa.Column("points", sa.Integer, nullable=False),
-    sa.Column("proven", sa.Boolean, nullable=False),
-    _text_column("robot"),
-    _text_column("tracker"),
-    _text_column("version"),
-    sa.Column("shipped", Utc, nullable=False, server_default=sa.func.now()),
-    sa.Column("newest", sa.Boolean, nullable=False, server_default=sa.true()),
-    sa.UniqueConstraint("run_key", "revision", name="run_revision"),
-    sa.Index("run_of_head", "head"),
+LOGIN = _Either("session_user", "''")  # of the connection: no SET ROLE changes it
+# A run of the future is held apart until the plant's owner accepts it, as is one that he removed.
+_AHEAD_S = CLOCK_ERROR.total_seconds()
+HELD = _Either(
+    f"COALESCE(NOT accepted, ended - shipped > '{CLOCK_ERROR!s:0>8}'::interval)",
+    f"COALESCE(NOT accepted, (julianday(ended) - julianday(shipped)) * 86400 > {_AHEAD_S})",
 )
+_CELL_KEY = (  # `hilcell.plant.record.cell_key`: no cell writes under another's
+    "cell_key = encode(substr(sha256(convert_to(json_build_array(cell, serial, machine)::text, "
+    "'UTF8')), 1, 16), 'hex')::uuid"
+)
+
+
+def _check(name: str, sql: str | _Either) -> sa.CheckConstraint:
+    return sa.CheckConstraint(sql, name=name)
+
+
+def _one_of(name: str, column: str, values: Iterable[str]) -> sa.CheckConstraint:
+    return _check(name, f"{column} IN ({', '.join(map(repr, values))})")
+
+
+def _table(name: str, comment: str, *items: sa.Column[Any] | sa.Index | sa.Constraint) -> sa.Table:
+    """Return a table whose values are checked by the types of their columns."""
+    table = sa.Table(name, TABLES, *items, comment=comment)
+    for column in table.columns:
+        for n, check in enumerate(_checks(column)):
+            table.append_constraint(_check(f"{name}_{column.name}_{n}", check))
+    return table
+
+
+def _checks(column: sa.Column[Any]) -> Iterator[str | _Either]:
+    """Yield what each value of a column obeys; NaN fails."""
+    name = f'"{column.name}"'
+    most = column.info.get("most")
+    match column.type:
+        case sa.Text() | sa.String():
+            most = most or LONGEST
+            # A database in SQL_ASCII would take what is not in UTF-8.
+            octets = f"octet_length(convert_to({name}, 'UTF8'))"
+            yield _Either(f"{octets} <= {most}", f"length(CAST({name} AS BLOB)) <= {most}")
+        case sa.JSON():
+            kinds = ", ".join(map(repr, column.info["kinds"]))
+            yield _Either(f"json_typeof({name}) IN ({kinds})", f"json_type({name}) IN ({kinds})")
+            yield _Either(
+                f"octet_length(convert_to({name}::text, 'UTF8')) <= {LONGEST_JSON}",
+                f"length(CAST({name} AS BLOB)) <= {LONGEST_JSON}",
+            )
+        case sa.Double():
+            most = most or sys.float_info.max
+            yield f"{name} BETWEEN {-most!r} AND {most!r}"
+        case sa.Integer():
+            yield f"{name} >= 0"
+        case Utc():
+            yield f"{name} >= '1980-01-01 00:00:00+00' AND {name} < '2200-01-01 00:00:00+00'"
+
+
+def _part(name: str, comment: str, *items: sa.Column[Any] | sa.Index | sa.Constraint) -> sa.Table:
+    digest = sa.Column(
+        "digest", sa.Uuid, sa.ForeignKey("run.digest"), primary_key=True,
+        comment="the revision of the run",
+    )  # fmt: skip
+    return _table(name, comment, digest, *items)
+
+
+def _number() -> sa.Column[int]:
+    return sa.Column("n", sa.Integer, primary_key=True, comment="number in the run, from 0")
+
+
+def _key(name: str, comment: str) -> sa.Column[str]:
+    return sa.Column(name, sa.Text, primary_key=True, comment=comment)
+
+
+def _text(name: str, comment: str) -> sa.Column[str]:
+    return sa.Column(name, sa.Text, nullable=False, comment=comment)
+
+
+def _bool(name: str, comment: str) -> sa.Column[bool]:
+    return sa.Column(name, sa.Boolean, nullable=False, comment=comment)
+
+
+def _count(name: str, comment: str) -> sa.Column[int]:
+    return sa.Column(name, sa.Integer, nullable=False, comment=comment)
+
+
+def _time(name: str, comment: str) -> sa.Column[datetime]:
+    return sa.Column(name, Utc, nullable=False, comment=comment)
+
+
+def _figure(name: str, comment: str, most: float | None = None) -> sa.Column[float]:
+    return sa.Column(name, sa.Double, nullable=False, comment=comment, info={"most": most})
+
+
+def _perhaps(name: str, comment: str, most: float | None = None) -> sa.Column[float | None]:
+    return sa.Column(name, sa.Double, comment=comment, info={"most": most})
+
+
+def _json(name: str, comment: str, *kinds: str) -> sa.Column[Any]:
+    return sa.Column(name, sa.JSON, nullable=False, comment=comment, info={"kinds": kinds})
+
+
+def _sha256(comment: str) -> sa.Column[str]:
+    return sa.Column("sha256", sa.String(64), nullable=False, comment=comment)
+
+
+RUN = _table(
+    "run",
+    "a revision of a run; times in UTC",
+    sa.Column("digest", sa.Uuid, primary_key=True, comment="first 128 bits of the SHA-256 of all "
+        "rows of the revision, without what the server adds"),
+    sa.Column("run_key", sa.Uuid, nullable=False, comment="of all revisions of the run"),
+    _count("revision", "number of the journal's last record"),
+    sa.Column("head", sa.String(64), nullable=False, comment="SHA-256 at the end of the journal's "
+        "chain"),
+    sa.Column("cell_key", sa.Uuid, nullable=False, comment="of cell, serial and machine"),
+    _text("name", "name of the run"),
+    _text("cell", "name of the cell"),
+    _text("serial", "serial number of the cell"),
+    _bool("simulated", "whether the cell is simulated"),
+    _text("machine", "which simulated machine; empty for a real cell"),
+    _text("procedure", "such as calibrate"),
+    _text("state", "finished, aborted or faulted"),
+    _count("exit", "exit code of the run"),
+    _time("begun", "first begin, by the clock of the cell's PC"),
+    _time("ended", "last end, by the clock of the cell's PC"),
+    _count("points", "points that count"),
+    _bool("proven", "whether it made a calibration that supersedes those before"),
+    _text("robot", "serial number of the robot"),
+    _text("tracker", "serial number of the tracker"),
+    _text("version", "version of hilcell"),
+    sa.Column("shipped", Utc, nullable=False, server_default=sa.func.now(), comment="arrival, by "
+        "the server's clock"),
+    sa.Column("shipped_by", sa.Text, nullable=False, server_default=LOGIN, comment="login that "
+        "shipped it"),
+    sa.Column("accepted", sa.Boolean, comment="the owner's decision: accepted (true), removed "
+        "(false), or none (null)"),
+    sa.Column("held", sa.Boolean, sa.Computed(HELD, persisted=True), comment="whether it is in no "
+        f"answer: removed, or ended more than {CLOCK_ERROR} h after its arrival and not accepted"),
+    sa.Column("newest", sa.Boolean, nullable=False, server_default=sa.true(), comment="whether it "
+        "is the newest revision that is not held"),
+    sa.UniqueConstraint("cell_key", "run_key", "revision", name="run_revision"),
+    sa.Index("run_of_head", "cell_key", "head"),
+    _one_of("run_state", "state", OVER),
+    _check("run_exit", "exit <= 7"),
+    _check("run_machine", "simulated = (machine <> '')"),
+    _check("run_cell_key", _CELL_KEY).ddl_if(dialect="postgresql"),
+)  # fmt: skip
+
+
+# By triggers: a revision that is held is not the newest, and nothing follows from another cell's.
+KEPT = """
+    UPDATE run SET newest = NOT newest
+    WHERE cell_key = NEW.cell_key AND run_key = NEW.run_key AND newest <> COALESCE(
+        NOT held AND revision = (
+            SELECT max(revision) FROM run AS every
+            WHERE every.cell_key = NEW.cell_key AND every.run_key = NEW.run_key AND NOT every.held
+        ), false);
+"""
+SERVER_COLUMNS = ("shipped", "shipped_by", "accepted", "held", "newest")  # of `run`: no cell's
 
 
 def _partial_index(name: str, where: str, *columns: str) -> None:
@@ -91,87 +234,145 @@ def _partial_index(name: str, where: str, *columns: str) -> None:
 _partial_index("run_of_cell", "newest", "cell_key", "ended")
 _partial_index("run_proven", "newest AND proven", "cell_key", "ended")
 _partial_index("run_of_robot", "newest", "robot", "ended")
+_partial_index("run_held", "held", "cell_key", "ended")
 
-OUTCOME = _part("outcome", sa.Column("row", sa.JSON, nullable=False))
-
+OUTCOME = _part(
+    "outcome",
+    "the run's row in the index of runs",
+    _json("row", "`hilcell.journal.index.RunRow`", "object"),
+)
 FRAME = _part(
     "frame",
-    sa.Column("key", sa.Text, primary_key=True),
-    sa.Column("matrix", sa.JSON, nullable=False),
-    sa.Column("covariance", sa.JSON),
-)
+    "a frame of the run",
+    _key("key", "such as world, base, station.S300"),
+    _json("matrix", "4 x 4, row by row; lengths in mm", "array"),
+    _json("covariance", "of translation (mm) and rotation vector (rad), 6 x 6, or null",
+        "array", "null"),
+)  # fmt: skip
 VERDICT = _part(
     "verdict",
-    sa.Column("key", sa.Text, primary_key=True),
-    sa.Column("holds", sa.Boolean, nullable=False),
-    sa.Column("mean_mm", sa.Double),
-    sa.Column("mean_U_mm", sa.Double),
-    sa.Column("mean_tolerance_mm", sa.Double),
-    sa.Column("body", sa.JSON, nullable=False),
+    "a verdict of the run",
+    _key("key", "such as validation.S300"),
+    _bool("holds", "whether it holds"),
+    _perhaps("mean_mm", "mean error, mm", FARTHEST_MM),
+    _perhaps("mean_U_mm", "its expanded uncertainty (k = 2), mm", FARTHEST_MM),
+    _perhaps("mean_tolerance_mm", "its tolerance, mm", FARTHEST_MM),
+    _json("body", "the record in the journal", "object"),
 )
 DEVICE = _part(
     "device",
-    _number_column(),
-    *map(_text_column, ("kind", "device", "maker", "model", "serial", "firmware")),
-    sa.Column("simulated", sa.Boolean, nullable=False),
+    "a device as it named itself",
+    _number(),
+    _text("kind", "robot, tracker, drive or strip"),
+    _text("device", "port by which it was reached"),
+    _text("maker", "maker"),
+    _text("model", "model"),
+    _text("serial", "serial number"),
+    _text("firmware", "version of its firmware"),
+    _bool("simulated", "whether it said that it is simulated"),
     sa.Index("device_serial", "kind", "serial"),
 )
 ALARM = _part(
     "alarm",
-    _number_column(),
-    sa.Column("t", Utc, nullable=False),
-    *map(_text_column, ("code", "severity", "title", "place", "found")),
+    "an alarm of the run's last session",
+    _number(),
+    _time("t", "when, UTC"),
+    _text("code", "code of its entry in the catalogue"),
+    _text("severity", ", ".join(get_args(Severity))),
+    _text("title", "title"),
+    _text("place", "device or part"),
+    _text("found", "what was observed"),
+    _one_of("alarm_severity", "severity", get_args(Severity)),
     sa.Index("alarm_code", "code", "t"),
 )
 LENGTH = _part(
     "length",
-    _number_column(),
-    _text_column("nests"),
-    sa.Column("wanted_mm", sa.Double, nullable=False),
-    sa.Column("found_mm", sa.Double, nullable=False),
-    sa.Column("U_mm", sa.Double, nullable=False),
+    "a certified length as measured",
+    _number(),
+    _text("nests", "its two nests"),
+    _figure("wanted_mm", "certified, at the temperature of the air, mm", FARTHEST_MM),
+    _figure("found_mm", "measured, mm", FARTHEST_MM),
+    _figure("U_mm", "expanded uncertainty of the difference (k = 2), mm", FARTHEST_MM),
+    _check("length_wanted", "wanted_mm >= 1"),
+    _check("length_U", '"U_mm" >= 0'),
 )
 GRID = _part(
     "grid",
-    sa.Column("places_mm", sa.JSON, nullable=False),
-    sa.Column("errors_mm", sa.JSON, nullable=False),
-    sa.Column("temperature_c", sa.Double),
+    "errors of the robot at the vertices of a whole grid",
+    _json("places_mm", "vertices, (N, 3) in {B}, mm", "array"),
+    _json("errors_mm", "errors, (N, 3) in {B}, mm", "array"),
+    _perhaps("temperature_c", "mean of the air, deg C", 1e4),
 )
 STREAM = _part(
     "stream",
-    sa.Column("key", sa.Text, primary_key=True),
-    _text_column("file"),
-    sa.Column("sha256", sa.String(64), nullable=False),
-    sa.Column("samples", sa.Integer, nullable=False),
-    sa.Column("joint_samples", sa.Integer, nullable=False),
+    "a stream of readings, which stays in the run's folder",
+    _key("key", "such as sweep/A1/up"),
+    _text("file", "file in the run's folder"),
+    _sha256("SHA-256 of the file"),
+    _count("samples", "readings of the tracker"),
+    _count("joint_samples", "readings of the robot"),
 )
 DOCUMENT = _part(
     "document",
-    sa.Column("name", sa.Text, primary_key=True),
-    sa.Column("sha256", sa.String(64), nullable=False),
-    _text_column("text"),
-)
+    "a file of the run",
+    _key("name", "name of the file"),
+    _sha256("SHA-256 of its text in UTF-8"),
+    sa.Column("text", sa.Text, nullable=False, comment="its content",
+        info={"most": LONGEST_DOCUMENT}),
+)  # fmt: skip
 POINT = _part(
     "point",
-    sa.Column("seq", sa.Integer, primary_key=True),
-    sa.Column("t", Utc, nullable=False),
-    *map(_text_column, ("key", "kind", "station", "frame", "reflector")),
-    *(sa.Column(name, sa.Double, nullable=False) for name in ("x_mm", "y_mm", "z_mm")),
-    *(sa.Column(name, sa.Double, nullable=False) for name in ("std_x_mm", "std_y_mm", "std_z_mm")),
-    sa.Column("samples", sa.Integer, nullable=False),
-    sa.Column("session", sa.Integer, nullable=False),
-    sa.Column("set_up", sa.Integer, nullable=False),
-    sa.Column("retaken", sa.Boolean, nullable=False),
-    sa.Column("superseded", sa.Boolean, nullable=False),
-    *(
-        sa.Column(name, sa.Double)
-        for name in (
-            "temperature_c", "pressure_mbar", "humidity_percent", "strip_mm", "rail_mm",
-            "nominal_x_mm", "nominal_y_mm", "nominal_z_mm",
-        )
-    ),
-    sa.Column("commanded_deg", sa.JSON(none_as_null=True)),
-    sa.Column("joints_deg", sa.JSON(none_as_null=True)),
+    "a point as measured",
+    sa.Column("seq", sa.Integer, primary_key=True, comment="number of its record in the journal"),
+    _time("t", "when, UTC"),
+    _text("key", "what was measured"),
+    _text("kind", "such as grid, world, validate"),
+    _text("station", "name of the station, or empty"),
+    _text("frame", "frame of the coordinates: of the tracker's first set-up"),
+    _text("reflector", "name of the reflector"),
+    *(_figure(f"{axis}_mm", f"{axis} of the mean, mm") for axis in "xyz"),
+    *(_figure(f"std_{axis}_mm", f"standard deviation of one reading in {axis}, mm")
+        for axis in "xyz"),
+    _count("samples", "readings"),
+    _count("session", "session of the run in which it was measured"),
+    _count("set_up", "set-up of the tracker at which it was measured"),
+    _bool("retaken", "whether it was measured again"),
+    _bool("superseded", "whether a later record replaced it: it does not count"),
+    _perhaps("temperature_c", "air at the tracker, deg C"),
+    _perhaps("pressure_mbar", "air at the tracker, mbar"),
+    _perhaps("humidity_percent", "air at the tracker, percent"),
+    _perhaps("strip_mm", "position by the strip, mm"),
+    _perhaps("rail_mm", "position by the drive, mm"),
+    *(_perhaps(f"nominal_{axis}_mm", f"{axis} of the nominal target in {{W}}, mm")
+        for axis in "xyz"),
+    *(sa.Column(name, sa.JSON(none_as_null=True), comment=comment, info={"kinds": ("array",)})
+        for name, comment in (
+            ("commanded_deg", "commanded joints, deg"), ("joints_deg", "joints as read, deg"),
+        )),
+)  # fmt: skip
+CLAIM = _table(
+    "claim",
+    "the login that ships a cell: the first that did, or the one that the owner assigned",
+    _key("cell", "name of the cell"),
+    _key("serial", "serial number of the cell"),
+    sa.Column("login", sa.Text, nullable=False, server_default=LOGIN, comment="login"),
+    sa.Column("since", Utc, nullable=False, server_default=sa.func.now(), comment="since when, by "
+        "the server's clock"),
+)  # fmt: skip
+DECISION = _table(
+    "decision",
+    "a decision of the database's owner; rows are only added",
+    sa.Column("n", sa.Integer, primary_key=True, comment="number of the decision"),
+    sa.Column("at", Utc, nullable=False, server_default=sa.func.now(), comment="when, by the "
+        "server's clock"),
+    sa.Column("by", sa.Text, nullable=False, server_default=LOGIN, comment="login that decided"),
+    _text("what", "assigned (a cell), accepted or removed (a run)"),
+    _text("cell", "name of the cell"),
+    _text("serial", "serial number of the cell"),
+    sa.Column("digest", sa.Uuid, sa.ForeignKey("run.digest"), comment="the run, if it is of one"),
+    sa.Column("login", sa.Text, comment="login that the cell was assigned to"),
+    sa.Column("before", sa.Text, comment="login that had the cell before"),
+    _one_of("decision_what", "what", ("assigned", "accepted", "removed")),
 )  # fmt: skip
 PARTS = (OUTCOME, FRAME, VERDICT, DEVICE, ALARM, LENGTH, GRID, STREAM, DOCUMENT, POINT)
 

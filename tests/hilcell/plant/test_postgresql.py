@@ -67,7 +67,7 @@ def test_a_store_keeps_each_number_to_its_last_digit(
     ]  # fmt: skip
     lengths = [
         {"n": n, "nests": "1-2", "wanted_mm": 1000, "found_mm": 1000.0, "U_mm": number}
-        for n, number in enumerate(numbers)
+        for n, number in enumerate((0.1 + 0.2, 5e-324, -0.0, 1 / 3, 123456.789123456789))
     ]
     grid = {
         "places_mm": [list(numbers[:3])], "errors_mm": [list(numbers[3:6])], "temperature_c": 20,

@@ -1,35 +1,43 @@
-"""All tables; the view of the newest revisions, and the trigger that keeps which these are.
+"""All tables; the view of the newest revisions, and the triggers that keep which these are.
 
 The next migration first writes out here what `hilcell.plant.tables` has until then.
 """
 
 from alembic import op
 
-from hilcell.plant.tables import TABLES
+from hilcell.plant.tables import KEPT, TABLES
 
 revision = "0001"
 down_revision = None
 
-KEPT = """
-    UPDATE run SET newest = NOT newest WHERE run_key = NEW.run_key AND newest <> (
-        revision = (SELECT max(revision) FROM run AS every WHERE every.run_key = NEW.run_key));
-"""
-# The lock: of two revisions at once, each would miss the other.
+# It works as the owner, so nothing is looked up in the schema of the cell's own temporary tables
+# first. The lock: of two revisions at once, each would miss the other.
 ON_POSTGRESQL = f"""
+DO $$ BEGIN EXECUTE format('
 CREATE FUNCTION plant_newest() RETURNS trigger
-LANGUAGE plpgsql SECURITY DEFINER SET search_path FROM CURRENT AS $$
+LANGUAGE plpgsql SECURITY DEFINER SET search_path = pg_catalog, %I, pg_temp AS $function$
 BEGIN
-    PERFORM pg_advisory_xact_lock(hashtextextended(NEW.run_key::text, 0));
+    PERFORM pg_advisory_xact_lock(hashtextextended(NEW.cell_key::text || NEW.run_key::text, 0));
     {KEPT}
     RETURN NULL;
-END $$;
+END $function$', current_schema()); END $$;
 REVOKE EXECUTE ON FUNCTION plant_newest() FROM PUBLIC;
-CREATE TRIGGER run_newest AFTER INSERT ON run FOR EACH ROW EXECUTE FUNCTION plant_newest();
+CREATE TRIGGER run_newest AFTER INSERT OR UPDATE OF accepted ON run
+FOR EACH ROW EXECUTE FUNCTION plant_newest();
 """
-ON_SQLITE = f"CREATE TRIGGER run_newest AFTER INSERT ON run BEGIN {KEPT} END"
+ON_SQLITE = tuple(
+    f"CREATE TRIGGER run_newest_{n} AFTER {event} ON run BEGIN {KEPT} END"
+    for n, event in enumerate(("INSERT", "UPDATE OF accepted"))
+)
 
 
 def upgrade() -> None:
     TABLES.create_all(op.get_bind(), checkfirst=False)
     op.execute("CREATE VIEW current_run AS SELECT * FROM run WHERE newest")
-    op.execute(ON_POSTGRESQL if op.get_bind().dialect.name == "postgresql" else ON_SQLITE)
+    remote = op.get_bind().dialect.name == "postgresql"
+    for order in (ON_POSTGRESQL,) if remote else ON_SQLITE:
+        op.execute(order)
+
+
+def downgrade() -> None:
+    raise NotImplementedError("the first schema has none before it: restore a backup")

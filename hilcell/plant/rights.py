@@ -1,0 +1,70 @@
+"""Rights on PostgreSQL: of roles, by columns and by rows.
+
+A cell, by its name and serial number, belongs to one login (table ``claim``): the first that ships
+it, or the one to which the owner assigned it. Row-level security holds each login to its cells, by
+``session_user``, which no SET ROLE changes. Rows of a run's parts are taken only in the transaction
+of its row. The server's own columns, time and login among them, are granted to nobody. Owner and
+superusers are held to no cell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from sqlalchemy import Connection, text
+
+from hilcell.plant.tables import CLAIM, DECISION, PARTS, RUN, SERVER_COLUMNS
+
+CELL, ENGINEER = "hilcell_cell", "hilcell_engineer"  # roles
+CELL_COLUMNS = ("digest", "cell_key", "run_key", "revision", "head", "shipped")  # read by cells
+_OWN_LOGIN = "login = session_user"
+_OWN_CELL = (
+    "(cell, serial) IN (SELECT c.cell, c.serial FROM claim AS c WHERE c.login = session_user)"
+)
+_OWN_RUN = "EXISTS (SELECT FROM run WHERE run.digest = {part}.digest AND run.shipped = now())"
+
+
+def admit(connection: Connection) -> None:
+    """Make the two roles if needed, and give each its rights; may be repeated."""
+    for role in (CELL, ENGINEER):
+        exists = text("SELECT 1 FROM pg_roles WHERE rolname = :role")
+        if connection.execute(exists, {"role": role}).scalar() is None:
+            # All databases of a server share the roles: another `init` may create them now.
+            create = f"""
+            DO $$ BEGIN CREATE ROLE {role} NOLOGIN;
+            EXCEPTION WHEN duplicate_object OR unique_violation THEN NULL;
+            END $$
+            """
+            connection.execute(text(create))
+    for order in (*_grants(), *_policies()):
+        connection.execute(text(order))
+
+
+def _grants() -> Iterator[str]:
+    inserted = ", ".join(f'"{each.name}"' for each in RUN.c if each.name not in SERVER_COLUMNS)
+    parts = ", ".join(table.name for table in PARTS)
+    yield f"GRANT INSERT ({inserted}), SELECT ({', '.join(CELL_COLUMNS)}) ON {RUN.name} TO {CELL}"
+    yield f"GRANT INSERT (cell, serial), SELECT ON {CLAIM.name} TO {CELL}"
+    yield f"GRANT INSERT ON {parts} TO {CELL}"
+    yield (
+        f"GRANT SELECT ON {RUN.name}, {parts}, current_run, {CLAIM.name}, {DECISION.name} "
+        f"TO {ENGINEER}"
+    )
+    yield f"GRANT SELECT ON alembic_version TO {CELL}, {ENGINEER}"
+
+
+def _policies() -> Iterator[str]:
+    rules = [(CLAIM.name, _OWN_LOGIN, _OWN_LOGIN), (RUN.name, _OWN_CELL, _OWN_CELL)]
+    rules += [(part.name, "", _OWN_RUN.format(part=part.name)) for part in PARTS]
+    for table, readable, insertable in rules:
+        yield f"ALTER TABLE {table} ENABLE ROW LEVEL SECURITY"
+        yield from _policy(f"{ENGINEER}_reads", table, f"SELECT TO {ENGINEER} USING (true)")
+        if readable:
+            yield from _policy(f"{CELL}_reads", table, f"SELECT TO {CELL} USING ({readable})")
+        inserts = f"INSERT TO {CELL} WITH CHECK ({insertable})"
+        yield from _policy(f"{CELL}_inserts", table, inserts)
+
+
+def _policy(name: str, table: str, rule: str) -> Iterator[str]:
+    yield f"DROP POLICY IF EXISTS {name} ON {table}"
+    yield f"CREATE POLICY {name} ON {table} FOR {rule}"
