@@ -203,7 +203,7 @@ class _Inconsistencies:
     connection: Connection
 
     def serials(self) -> Iterator[Doubt]:
-        query = select(RUN.c.serial, RUN.c.cell).where(RUN.c.serial != "").distinct()
+        query = select(RUN.c.serial, RUN.c.cell).where(RUN.c.newest, RUN.c.serial != "").distinct()
         by_serial = grouped(self.connection, query.order_by(RUN.c.serial, RUN.c.cell), "serial")
         for (serial,), rows in by_serial.items():
             names = [row.cell for row in rows]
@@ -216,7 +216,7 @@ class _Inconsistencies:
         place = (RUN.c.robot, RUN.c.cell, RUN.c.serial)
         first = func.min(RUN.c.begun)
         query = select(*place, first.label("first"), func.max(RUN.c.ended).label("last"))
-        query = query.where(RUN.c.robot != "").group_by(*place)
+        query = query.where(RUN.c.newest, RUN.c.robot != "").group_by(*place)
         query = query.order_by(RUN.c.robot, first, RUN.c.cell)
         for (robot,), spans in grouped(self.connection, query, "robot").items():
             if any(later.first < earlier.last for earlier, later in pairwise(spans)):
@@ -230,8 +230,8 @@ class _Inconsistencies:
 
     def namesakes(self) -> Iterator[Doubt]:
         columns = (RUN.c.cell, RUN.c.serial, RUN.c.name)
-        query = select(*columns).group_by(*columns).order_by(*columns)
-        query = query.having(func.count(RUN.c.run_key.distinct()) > 1)
+        query = select(*columns).where(RUN.c.newest).group_by(*columns).order_by(*columns)
+        query = query.having(func.count() > 1)
         for (cell, serial), rows in grouped(self.connection, query, "cell", "serial").items():
             text = (
                 f"cell {clean(cell)}, serial number {clean(serial)}: several runs have one name "
@@ -242,19 +242,29 @@ class _Inconsistencies:
             yield [cell], text
 
     def at_once(self) -> Iterator[Doubt]:
-        """Yield real cells in which two runs overlap; first revisions only, for a re-opened run
+        """Yield real cells in which two runs overlap up to their first ends, for a re-opened run
         lasts from its begin to its last end.
         """
-        before = func.lag(RUN.c.ended).over(partition_by=CELL, order_by=RUN.c.begun)
-        other = RUN.alias("other")
-        first = select(func.min(other.c.revision)).where(other.c.run_key == RUN.c.run_key)
-        of_each = select(*CELL, RUN.c.begun, before.label("before")).where(
-            RUN.c.machine == "", RUN.c.revision == first.correlate(RUN).scalar_subquery()
+        before = func.lag(RUN.c.first_ended).over(partition_by=RUN.c.cell_key, order_by=RUN.c.begun)
+        each = (
+            select(RUN.c.cell_key, RUN.c.begun, before.label("before"))
+            .where(RUN.c.machine == "", RUN.c.newest)
+            .subquery("each")
         )
-        each = of_each.subquery("each")
-        place = (each.c.cell, each.c.serial)
-        query = select(*place, func.count().label("times")).where(each.c.begun < each.c.before)
-        for row in self.connection.execute(query.group_by(*place)):
+        overlaps = (
+            select(each.c.cell_key, func.count().label("times"))
+            .where(each.c.begun < each.c.before)
+            .group_by(each.c.cell_key)
+            .subquery("overlaps")
+        )
+        any_run = RUN.alias("any_run")
+        of_cell = select(any_run.c.digest).where(
+            any_run.c.newest, any_run.c.cell_key == overlaps.c.cell_key
+        )
+        query = select(RUN.c.cell, RUN.c.serial, overlaps.c.times).join_from(
+            overlaps, RUN, RUN.c.digest == of_cell.limit(1).correlate(overlaps).scalar_subquery()
+        )
+        for row in self.connection.execute(query.order_by(RUN.c.cell, RUN.c.serial)):
             text = (
                 f"cell {clean(row.cell)}, serial number {clean(row.serial)}: {row.times} runs "
                 "began while another was running: two PCs ship as one cell, or their clocks "

@@ -107,6 +107,7 @@ def run_record(
     head, (run_key, revision) = heads(records)[-1], run_key_of(run, records)
     points = list(_points(log, records))
     checked = log.verdict(LengthsChecked)
+    first_end = next(each for each in records if each.kind == "end")
     whole: dict[Table, Sequence[Values]] = {
         OUTCOME: [{"row": msgspec.to_builtins(row)}],
         FRAME: [
@@ -145,11 +146,13 @@ def run_record(
             "cell_key": cell_key_of(row),
             "machine": _machine(row),
             "begun": _moment(row.begun),
+            "first_ended": _moment(first_end.t).replace(microsecond=0),  # as the others
             "ended": _moment(row.ended),
             "points": sum(not each["superseded"] for each in points),
             "proven": _is_valid_calibration(row),
             "robot": serials.get("robot", ""),
             "tracker": serials.get(TRACKER, ""),
+            "devices": first_128_bits(msgspec.json.encode(whole[DEVICE])),
             "version": log.inputs.versions.get("hilcell", ""),
         }
     ]
@@ -244,11 +247,14 @@ def _grid(log: Log) -> Iterator[Values]:
     if not points or not {"world", "base"} <= log.frames.keys():
         return
     errors_mm = measured_grid(log).errors_mm.reshape(-1, 3)
+    places_mm = np.ascontiguousarray(grid_of(log.cell).vertices_mm().reshape(-1, 3), dtype="<f8")
     if np.isfinite(errors_mm).all():
         celsius = [point.temperature_c for point in points if point.temperature_c is not None]
         yield {
-            "places_mm": grid_of(log.cell).vertices_mm().reshape(-1, 3).tolist(),
+            "layout": first_128_bits(places_mm.tobytes()),
+            "places_mm": places_mm.tolist(),
             "errors_mm": errors_mm.tolist(),
+            "mean_mm": fmean(np.linalg.norm(errors_mm, axis=1)),
             "temperature_c": fmean(celsius) if celsius else None,
         }
 

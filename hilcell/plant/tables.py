@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import struct
 import sys
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
@@ -42,6 +43,26 @@ class Utc(sa.TypeDecorator[datetime]):
     @staticmethod
     def in_utc(value: datetime | None) -> datetime | None:
         return None if value is None else value.astimezone(UTC)
+
+
+class Vectors(sa.TypeDecorator[list[list[float]]]):
+    """Vectors (N, 3), row by row in 8 bytes each, little-endian: a tenth of the time of JSON."""
+
+    impl = sa.LargeBinary
+    cache_ok = True
+
+    def process_bind_param(
+        self, value: list[list[float]] | None, dialect: sa.Dialect
+    ) -> bytes | None:
+        flat = [] if value is None else [each for vector in value for each in vector]
+        return None if value is None else struct.pack(f"<{len(flat)}d", *flat)
+
+    def process_result_value(
+        self, value: bytes | None, dialect: sa.Dialect
+    ) -> list[list[float]] | None:
+        if value is None:
+            return None
+        return [[*vector] for vector in struct.iter_unpack("<3d", value)]
 
 
 TABLES = sa.MetaData()
@@ -112,6 +133,8 @@ def _checks(column: sa.Column[Any]) -> Iterator[str | _Either]:
                 f"octet_length(convert_to({name}::text, 'UTF8')) <= {LONGEST_JSON}",
                 f"length(CAST({name} AS BLOB)) <= {LONGEST_JSON}",
             )
+        case Vectors():
+            yield f"length({name}) % 24 = 0 AND length({name}) <= {LONGEST_JSON}"
         case sa.Double():
             most = most or sys.float_info.max
             yield f"{name} BETWEEN {-most!r} AND {most!r}"
@@ -165,6 +188,10 @@ def _json(name: str, comment: str, *kinds: str) -> sa.Column[Any]:
     return sa.Column(name, sa.JSON, nullable=False, comment=comment, info={"kinds": kinds})
 
 
+def _vectors(name: str, comment: str) -> sa.Column[list[list[float]]]:
+    return sa.Column(name, Vectors, nullable=False, comment=comment)
+
+
 def _sha256(comment: str) -> sa.Column[str]:
     return sa.Column("sha256", sa.String(64), nullable=False, comment=comment)
 
@@ -188,11 +215,14 @@ RUN = _table(
     _text("state", "finished, aborted or faulted"),
     _count("exit", "exit code of the run"),
     _time("begun", "first begin, by the clock of the cell's PC"),
+    _time("first_ended", "first end, by the clock of the cell's PC"),
     _time("ended", "last end, by the clock of the cell's PC"),
     _count("points", "points that count"),
     _bool("proven", "whether it made a calibration that supersedes those before"),
     _text("robot", "serial number of the robot"),
     _text("tracker", "serial number of the tracker"),
+    sa.Column("devices", sa.Uuid, nullable=False, comment="first 128 bits of the SHA-256 of its "
+        "rows in device"),
     _text("version", "version of hilcell"),
     sa.Column("shipped", Utc, nullable=False, server_default=sa.func.now(), comment="arrival, by "
         "the server's clock"),
@@ -225,16 +255,20 @@ KEPT = """
 SERVER_COLUMNS = ("shipped", "shipped_by", "accepted", "held", "newest")  # of `run`: no cell's
 
 
-def _partial_index(name: str, where: str, *columns: str) -> None:
+def _partial_index(name: str, table: sa.Table, where: str, *columns: str) -> None:
     condition = sa.text(where)
-    of = [RUN.c[each] for each in columns]
+    of = [table.c[each] for each in columns]
     sa.Index(name, *of, postgresql_where=condition, sqlite_where=condition)
 
 
-_partial_index("run_of_cell", "newest", "cell_key", "ended")
-_partial_index("run_proven", "newest AND proven", "cell_key", "ended")
-_partial_index("run_of_robot", "newest", "robot", "ended")
-_partial_index("run_held", "held", "cell_key", "ended")
+_partial_index("run_of_cell", RUN, "newest", "cell_key", "ended")
+_partial_index("run_proven", RUN, "newest AND proven", "cell_key", "ended")
+_partial_index("run_of_robot", RUN, "newest", "robot", "ended")
+_partial_index("run_held", RUN, "held", "cell_key", "ended")
+_partial_index("run_of_name", RUN, "newest", "cell", "serial", "name")
+_partial_index("run_of_devices", RUN, "newest", "devices")
+_partial_index("run_real", RUN, "newest AND machine = ''", "cell_key", "begun", "first_ended")
+_partial_index("run_set_back", RUN, "ended < begun", "ended")
 
 OUTCOME = _part(
     "outcome",
@@ -259,6 +293,10 @@ VERDICT = _part(
     _perhaps("mean_tolerance_mm", "its tolerance, mm", FARTHEST_MM),
     _json("body", "the record in the journal", "object"),
 )
+_partial_index(
+    "verdict_mean", VERDICT, "mean_mm IS NOT NULL",
+    "digest", "key", "mean_mm", "mean_tolerance_mm",
+)  # fmt: skip
 DEVICE = _part(
     "device",
     "a device as it named itself",
@@ -299,10 +337,14 @@ LENGTH = _part(
 GRID = _part(
     "grid",
     "errors of the robot at the vertices of a whole grid",
-    _json("places_mm", "vertices, (N, 3) in {B}, mm", "array"),
-    _json("errors_mm", "errors, (N, 3) in {B}, mm", "array"),
+    sa.Column("layout", sa.Uuid, nullable=False, comment="first 128 bits of the SHA-256 of its "
+        "vertices: grids of one layout are compared"),
+    _vectors("places_mm", "vertices, (N, 3) in {B}, mm, 8 bytes each, little-endian"),
+    _vectors("errors_mm", "errors, (N, 3) in {B}, mm, 8 bytes each, little-endian"),
+    _figure("mean_mm", "mean length of the errors, mm", FARTHEST_MM),
     _perhaps("temperature_c", "mean of the air, deg C", 1e4),
-)
+    _check("grid_errors", "length(errors_mm) = length(places_mm)"),
+)  # fmt: skip
 STREAM = _part(
     "stream",
     "a stream of readings, which stays in the run's folder",

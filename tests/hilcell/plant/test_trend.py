@@ -4,13 +4,29 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import stats
 
-from hilcell.plant.equipment import FEWEST, SIGNIFICANCE, fit_trend, main_direction, why_no_trend
+from hilcell.plant.equipment import (
+    FEWEST,
+    SIGNIFICANCE,
+    Series,
+    Trend,
+    fit_trends,
+    main_direction,
+    theil_sen,
+    why_no_trend,
+)  # fmt: skip
 from hilcell.ports import Array
 
 YEARS = np.arange(24) / 12.0
 NOISE = 0.02
 AT = 13
+
+
+def fit_trend(years: Array, values: Array, temperatures_c: Array | None = None) -> Trend | None:
+    """Return the trend of a quantity that is judged alone."""
+    (found,) = fit_trends([Series(years, values, temperatures_c)])
+    return found
 
 
 def noise(seed: int, count: int = len(YEARS)) -> Array:
@@ -47,6 +63,67 @@ def test_a_trend_is_no_step() -> None:
         stepped += bool(found.steps)
         assert abs(found.slope - 0.1) < 0.05
     assert stepped <= 4
+
+
+def fitted(columns: list[Array], steps: list[int], values: Array) -> tuple[Array, Array, float]:
+    """Return parameters, their covariance and the sum of squares that is left."""
+    places = np.arange(len(values))
+    design = np.column_stack([*columns, *((places >= at).astype(float) for at in steps)])
+    found = np.linalg.lstsq(design, values, rcond=None)[0]
+    rest = float(np.sum((values - design @ found) ** 2))
+    degrees = len(values) - design.shape[1]
+    covariance: Array = np.linalg.pinv(design.T @ design) * rest / degrees
+    return np.asarray(found, dtype=float), covariance, rest
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_all_places_at_once_are_least_squares_at_each(seed: int) -> None:
+    """Digits are those of one fit at each place, and the tests those of scipy.stats."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(FEWEST, 60))
+    years = np.sort(rng.uniform(0.0, 5.0, count))
+    celsius = rng.normal(20.0, 3.0, count)
+    jumps = [rng.normal(0.0, 0.3) * (np.arange(count) >= at) for at in rng.integers(1, count, 3)]
+    values = 0.1 * years + 0.01 * celsius + sum(jumps) + rng.normal(0.0, NOISE, count)
+    columns = [np.ones(count), years - years.mean(), celsius - celsius.mean()]
+    steps: list[int] = []
+    while len(steps) < 5:
+        without = fitted(columns, steps, values)[2]
+        places = [at for at in range(1, count) if at not in steps]
+        rests = [fitted(columns, [*steps, at], values)[2] for at in places]
+        degrees = count - len(columns) - len(steps) - 1
+        if degrees < 3:
+            break
+        best = int(np.argmin(rests))
+        p = stats.f.sf((without - rests[best]) * degrees / rests[best], 1, degrees) * len(places)
+        if not p < SIGNIFICANCE:
+            break
+        steps.append(places[best])
+    expected, covariance, rest = fitted(columns, steps, values)
+    degrees = count - len(columns) - len(steps)
+    found = fit_trend(years, values, celsius)
+    assert found is not None
+    assert [step.at for step in found.steps] == sorted(steps)
+    U = stats.t.ppf(0.975, degrees) * np.sqrt(np.diag(covariance))
+    sizes = {at: (expected[n], U[n]) for n, at in enumerate(steps, start=len(columns))}
+    for step in found.steps:
+        assert (step.size, step.U) == pytest.approx(sizes[step.at], rel=1e-9)
+    assert (found.slope, found.U) == pytest.approx((expected[1], U[1]), rel=1e-9)
+    assert found.noise == pytest.approx(np.sqrt(rest / degrees), rel=1e-9)
+
+
+def test_the_first_component_and_a_slope_are_those_of_scipy() -> None:
+    rng = np.random.default_rng(4)
+    for shape in ((24, 9), (24, 192), (6, 9)):
+        vectors = rng.normal(size=shape)
+        centred = vectors - vectors.mean(axis=0)
+        along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
+        found = main_direction(vectors)
+        assert found == pytest.approx(along if along[-1] >= along[0] else -along, rel=1e-9)
+    values = 0.01 * YEARS + noise(2)
+    values[5] = values[9]
+    expected = stats.theilslopes(values, YEARS, 0.95)
+    assert theil_sen(YEARS, values) == pytest.approx(tuple(expected), rel=1e-12)
 
 
 def test_what_follows_the_room_s_temperature_is_no_drift() -> None:

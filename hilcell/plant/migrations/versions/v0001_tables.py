@@ -25,6 +25,8 @@ REVOKE EXECUTE ON FUNCTION plant_newest() FROM PUBLIC;
 CREATE TRIGGER run_newest AFTER INSERT OR UPDATE OF accepted ON run
 FOR EACH ROW EXECUTE FUNCTION plant_newest();
 """
+# Errors are read of all grids at once, their places are not: only these are kept elsewhere.
+STORED = "ALTER TABLE grid ALTER places_mm SET STORAGE EXTERNAL, ALTER errors_mm SET STORAGE MAIN"
 ON_SQLITE = tuple(
     f"CREATE TRIGGER run_newest_{n} AFTER {event} ON run BEGIN {KEPT} END"
     for n, event in enumerate(("INSERT", "UPDATE OF accepted"))
@@ -35,7 +37,7 @@ def upgrade() -> None:
     TABLES.create_all(op.get_bind(), checkfirst=False)
     op.execute("CREATE VIEW current_run AS SELECT * FROM run WHERE newest")
     remote = op.get_bind().dialect.name == "postgresql"
-    for order in (ON_POSTGRESQL,) if remote else ON_SQLITE:
+    for order in (ON_POSTGRESQL, STORED) if remote else ON_SQLITE:
         op.execute(order)
 
 
