@@ -109,6 +109,8 @@ PLANT: Commands = {
     "init": (signatures.PlantInit, "plant:init"),
     "ship": (signatures.PlantShip, "plant:ship"),
     "show": (signatures.PlantShow, "plant:show"),
+    "assign": (signatures.PlantAssign, "plant:assign"),
+    "held": (signatures.PlantHeld, "plant:held"),
     "export": (signatures.PlantExport, "plant:export"),
     "verify": (signatures.PlantVerify, "plant:verify"),
 }

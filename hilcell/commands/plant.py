@@ -23,7 +23,15 @@ from hilcell.commands.console import (
     print_message,
     print_table,
 )
-from hilcell.commands.signatures import PlantExport, PlantInit, PlantShip, PlantShow, PlantVerify
+from hilcell.commands.signatures import (
+    PlantAssign,
+    PlantExport,
+    PlantHeld,
+    PlantInit,
+    PlantShip,
+    PlantShow,
+    PlantVerify,
+)
 from hilcell.errors import EXIT_OK, EXIT_OUT_OF_TOLERANCE, EXIT_STORAGE, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.sanitize import clean, counted, encodable, harmless, harmless_lines
@@ -33,6 +41,7 @@ if TYPE_CHECKING:
 
     from hilcell.plant.cells import CellState, Doubt
     from hilcell.plant.database import Database
+    from hilcell.plant.decisions import Claim, HeldRun
     from hilcell.plant.equipment import (
         AlarmCount,
         Change,
@@ -266,6 +275,73 @@ ALARMS: tuple[Column[AlarmCount], ...] = (
     Column("count", attrgetter("count"), form="d"),
     Column("cells", lambda each: ", ".join(each.cells)),
     Column("last", lambda each: _day(each.last)),
+)
+
+
+# -- decisions of the database's owner ------------------------------------------------------------
+
+
+def assign(args: PlantAssign) -> int:
+    """Assign a cell to a login, or list the logins of all cells."""
+    if bool(args.cell) != bool(args.login):
+        raise HilcellError("plant assign: expected CELL and --login NAME, or neither")
+    with closing(_open_database(args.plant)) as database:
+        from hilcell.plant.decisions import assign as assign_cell
+        from hilcell.plant.decisions import claims
+
+        database.check()
+        with database.transaction() as connection:
+            if args.cell:
+                known = [assign_cell(connection, args.cell, args.serial, args.login)]
+            else:
+                known = claims(connection)
+    if args.json:
+        print_json({"claims": msgspec.to_builtins(known)})
+    elif known:
+        print_table(Table(CLAIMS, known))
+    else:
+        print_message(f"plant database {database.name}: no cell has a login")
+    return EXIT_OK
+
+
+def held(args: PlantHeld) -> int:
+    """List the runs held apart, or accept or remove one."""
+    if args.accept and args.remove:
+        raise HilcellError("plant held: expected --accept or --remove, got both")
+    with closing(_open_database(args.plant)) as database:
+        from hilcell.plant.decisions import decide
+        from hilcell.plant.decisions import held as held_runs
+
+        database.check()
+        with database.transaction() as connection:
+            if args.accept or args.remove:
+                decide(connection, args.accept or args.remove, accepted=bool(args.accept))
+            runs = held_runs(connection)
+    if args.json:
+        print_json({"held": msgspec.to_builtins(runs)})
+    elif runs:
+        print_table(Table(HELD, runs))
+    else:
+        print_message(f"plant database {database.name}: no run is held apart")
+    return EXIT_OK
+
+
+CLAIMS: tuple[Column[Claim], ...] = (
+    Column("cell", attrgetter("cell")),
+    Column("serial", attrgetter("serial")),
+    Column("login", attrgetter("login")),
+    Column("since", lambda each: _day(each.since)),
+)
+HELD: tuple[Column[HeldRun], ...] = (
+    Column("run", attrgetter("run")),
+    Column("digest", lambda each: each.digest[:12]),
+    Column("cell", attrgetter("cell")),
+    Column("serial", attrgetter("serial")),
+    Column("machine", attrgetter("machine")),
+    Column("shipped by", attrgetter("shipped_by")),
+    Column("arrived", lambda each: f"{each.shipped:%Y-%m-%d %H:%M}"),
+    Column("ended", lambda each: f"{each.ended:%Y-%m-%d %H:%M}"),
+    Column("decision", lambda each: "removed" if each.removed else ""),
 )
 
 

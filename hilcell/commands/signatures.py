@@ -421,6 +421,25 @@ class PlantShow(Signature):
     json: bool = JSON
 
 
+class PlantAssign(Signature):
+    """Let one login ship a cell; without a cell, list the logins of all cells."""
+
+    plant: str | None = TO_PLANT
+    cell: str = option("name of the cell", "CELL", positional=True, default="")
+    serial: str | None = option("serial number of the cell", "SERIAL", default=None)
+    login: str = option("login that ships it from now on", "NAME", default="")
+    json: bool = JSON
+
+
+class PlantHeld(Signature):
+    """List runs held apart, which ended in the future; accept or remove one."""
+
+    plant: str | None = FROM_PLANT
+    accept: str = option("let a held run count: its name or digest", "RUN", default="")
+    remove: str = option("take a run out of all answers; it stays in exports", "RUN", default="")
+    json: bool = JSON
+
+
 class PlantExport(Signature):
     """Write the signed record of one cell for an audit."""
 

@@ -87,7 +87,8 @@ def write(connection: Connection, record: RunRecord, heads: Sequence[str], ended
     added = insert(RUN).on_conflict_do_nothing().execution_options(preserve_rowcount=True)
     done = connection.execute(added, run)
     if not done.rowcount:
-        if not shipped_revisions(connection, [(run["cell_key"], record.run_key, record.revision)]):
+        key = (run["cell_key"], record.run_key, record.revision)
+        if key not in shipped_revisions(connection, [key]):
             raise Forked(
                 f"run {record.row.name}: another run in the database has its digest; the "
                 "database's owner searches it by `digest` in the table `run`"
