@@ -18,7 +18,7 @@ from fakes.time import CellTime, CountedTime
 from fakes.truth.cell_truth import CellTruth
 from fakes.truth.machine import controller_arm
 from fakes.truth.rail_truth import RailTruth
-from fakes.truth.robot_motion import RobotMotion
+from fakes.truth.robot_motion import RobotMotion, RobotState
 from fakes.truth.tracker_truth import Followed
 from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell
@@ -153,6 +153,7 @@ class DirectRobot:
         self._arm = controller_arm(cell)
         self._full_rad_s = np.radians([joint.speed_deg_s for joint in cell.robot.joint])
         self._ended_s: float | None = None
+        self._stated: tuple[RobotState | None, Array] = None, np.eye(4)  # the pose at rest
 
     def connect(self) -> list[Identity]:
         self.motion.brake()  # it stands
@@ -170,7 +171,9 @@ class DirectRobot:
 
     def read(self) -> RobotReading:
         state = self.motion.state()
-        pose = self._arm.chain.pose(state.joints_rad)
+        if state is not self._stated[0]:
+            self._stated = state, self._arm.chain.pose(state.joints_rad)
+        pose = self._stated[1].copy()
         return RobotReading(
             state.joints_rad.copy(), pose, not state.moving, self._clock.pc_s(), self._ended_s
         )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hilcell.calibration.controller_pose import deviation
+from hilcell.calibration.controller_pose import Deviation
 from hilcell.cell.file import Cell
 from hilcell.cell.robot import RobotTable, arm_from_joints
 from hilcell.geometry.inverse import status_of
@@ -96,7 +96,7 @@ class ReadController(Step):
         tool = settings.tool
         if tool is None:
             tool = robot.arm().tool
-        off = deviation(arm_from_joints(robot.joint, tool), joints_rad, pose)
+        off = Deviation(arm_from_joints(robot.joint, tool), joints_rad, pose)
         smr_mm = [round(float(value), 3) for value in tool[:3, 3]]
         same = bool(np.all(np.abs(np.subtract(smr_mm, robot.smr_mm)) < 0.002))
         coupled = None if off.holds else coupling_of(robot, tool, joints_rad, pose)
@@ -148,7 +148,7 @@ def coupling_of(robot: RobotTable, tool: Array, joints_rad: Array, pose: Array) 
     for coupling in (1, -1):
         turned = joints_rad.copy()
         turned[2] += coupling * joints_rad[1]
-        if deviation(arm, turned, pose).holds:
+        if Deviation(arm, turned, pose).holds:
             return coupling
     return None
 

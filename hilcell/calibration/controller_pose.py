@@ -9,7 +9,7 @@ its readings: its poses may differ by millimetres, and programs use joints.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from functools import cached_property
 
 import numpy as np
 
@@ -20,49 +20,64 @@ from hilcell.geometry.jacobian import KINDS, moved, parameter_jacobian
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.ports import Array, DeviceError, HilcellError, RobotReading
 
+ROUNDING_MM, ROUNDING_RAD = 0.005, np.radians(0.001)  # of the numbers that a controller states
+AXIS_RAD = np.radians(0.0005)  # joints and pose are some ms apart, and a robot at rest flickers
 
-class Deviation(NamedTuple):
-    """Shift (3,) and rotation (3,) of a stated pose in {B}, and the limits of rounding."""
 
-    shift_mm: Array
-    turn_rad: Array
-    limit_mm: float
-    limit_rad: float
+class Deviation:
+    """Deviation of a pose (4, 4) from that of joints (6,) by the cell file's arm, and its limits.
+
+    Each point has one: what few need is computed when it is read.
+    """
+
+    limit_rad = float(ROUNDING_RAD + 6.0 * AXIS_RAD)
+
+    def __init__(self, arm: Arm, joints_rad: Array, pose: Array) -> None:
+        self._arm, self._joints_rad, self._pose = arm, joints_rad, pose
+        self._nominal = forward(arm, joints_rad)
+        self.shift_mm: Array = pose[:3, 3] - self._nominal[:3, 3]
 
     @property
     def off_mm(self) -> float:
-        return float(np.linalg.norm(self.shift_mm))
+        return math.sqrt(float(self.shift_mm @ self.shift_mm))
+
+    @cached_property
+    def turn_rad(self) -> Array:
+        """Return the rotation vector (3,)."""
+        return to_rotvec(self._pose[:3, :3] @ self._nominal[:3, :3].T).reshape(3)
+
+    @cached_property
+    def limit_mm(self) -> float:
+        """Return what rounding of pose and joints explains."""
+        zeros = slice(18, 24)
+        by_zeros = parameter_jacobian(self._arm, self._joints_rad)[:3, zeros]
+        return float(ROUNDING_MM + AXIS_RAD * np.linalg.norm(by_zeros, axis=0).sum())
 
     @property
     def holds(self) -> bool:
-        return self.within(self.limit_mm, self.limit_rad)
+        return self.rounded or self.within(self.limit_mm, self.limit_rad)
+
+    @property
+    def rounded(self) -> bool:
+        """Whether rounding of the pose alone explains it, which is less than the limits.
+
+        The difference of two rotations has a norm of 1.4 times their angle.
+        """
+        turned = self._pose[:3, :3] - self._nominal[:3, :3]
+        return bool(self.off_mm <= ROUNDING_MM and np.vdot(turned, turned) <= ROUNDING_RAD**2)
 
     def within(self, limit_mm: float, limit_rad: float) -> bool:
         """Whether it is within limits; NaN is not."""
         return bool(self.off_mm <= limit_mm and np.linalg.norm(self.turn_rad) <= limit_rad)
 
 
-def deviation(arm: Arm, joints_rad: Array, pose: Array) -> Deviation:
-    """Deviation of a pose (4, 4) from that of joints (6,) by the cell file's arm."""
-    rounding_mm, rounding_rad = 0.005, np.radians(0.001)  # of the numbers that a controller states
-    nominal = forward(arm, joints_rad)
-    zeros = slice(18, 24)
-    J = np.abs(np.linalg.norm(parameter_jacobian(arm, joints_rad)[:3, zeros], axis=0))
-    turn = to_rotvec(pose[:3, :3] @ nominal[:3, :3].T).reshape(3)
-    axis_rad = np.radians(0.0005)  # joints and pose are some ms apart, and a robot at rest flickers
-    return Deviation(
-        pose[:3, 3] - nominal[:3, 3],
-        turn,
-        rounding_mm + axis_rad * float(J.sum()),
-        float(rounding_rad + 6.0 * axis_rad),
-    )
-
-
 def check_pose(robot: RobotTable, reading: RobotReading, operation: str) -> Deviation:
     """The deviation; raises `DeviceError` beyond rounding and factory calibration."""
     factory_mm, factory_rad = 15.0, np.radians(1.0)  # what links measured in a factory may explain
     arm = robot.arm()
-    found = deviation(arm, reading.joints_rad, reading.pose)
+    found = Deviation(arm, reading.joints_rad, reading.pose)
+    if found.rounded:
+        return found
     limit_mm, limit_rad = found.limit_mm, found.limit_rad
     if reading.by_factory_links:
         limit_mm, limit_rad = factory_mm, factory_rad
@@ -105,7 +120,7 @@ def fitting(arm: Arm, joints_rad: Array, pose: Array) -> dict[str, float]:
     fitted = (*range(24), *range(30, 33))  # of `parameters` those that a cell file has
     for column in fitted:
         other, step = _best_fit(arm, joints_rad, pose, column)
-        left = deviation(other, joints_rad, pose)
+        left = Deviation(other, joints_rad, pose)
         if left.holds:
             fits.append((left.off_mm, *_named(column, step)))
     listed = 3
@@ -118,7 +133,7 @@ def _best_fit(arm: Arm, joints_rad: Array, pose: Array, column: int) -> tuple[Ar
     other, step = arm, 0.0
     tries = 4
     for _ in range(tries):
-        left = deviation(other, joints_rad, pose)
+        left = Deviation(other, joints_rad, pose)
         J = scale * parameter_jacobian(other, joints_rad)[:, column]
         d = scale * np.concatenate([left.shift_mm, left.turn_rad])
         weight = float(J @ J)

@@ -684,8 +684,14 @@ def suspected_causes(log: Log) -> list[Suspicion]:
     """Causes that a run's journal suspects.
 
     A correction learnt from a changed robot adds no cause of its own. Slow and small changes count
-    where nothing larger has changed, or nothing with a known cause.
+    where nothing larger has changed, or nothing with a known cause. They depend on the measurements
+    and on the verdicts before them, not on those that name them.
     """
+    before = (r.seq for key, r in log.verdict_records.items() if key not in ("suspicions", "since"))
+    return [*log.once_measured(_suspected_causes, *before)]
+
+
+def _suspected_causes(log: Log, *_: int) -> list[Suspicion]:
     nest = risen_nest(log)
     alone = [
         scale(log),

@@ -110,7 +110,8 @@ def calibration_so_far(log: Log, run: str) -> Calibration | None:
 
 
 def learnt_so_far(log: Log) -> Calibration | None:
-    return calibration_from_log(log, "") if _has_model(log) else None
+    """Return the calibration of no run yet, for what it predicts."""
+    return calibration_so_far(log, "")
 
 
 def _has_model(log: Log) -> bool:

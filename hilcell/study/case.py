@@ -6,6 +6,7 @@ import os
 import platform
 import tempfile
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import TypeAlias
@@ -28,7 +29,7 @@ from hilcell.model.point import Sent
 from hilcell.model.results import Calibrated, Place, TargetBounds
 from hilcell.model.verdicts import OTHERS
 from hilcell.ports import Array, InProcessCell
-from hilcell.run.procedure import Procedure, run_in_process
+from hilcell.run.procedure import Plan, Procedure, run_in_process
 
 IDW = "idw_mm"
 Level: TypeAlias = float | str | None  # of a factor, in a table
@@ -96,10 +97,9 @@ def calibrate_case(cell: bytes, machine: int, seed: int, expected: Mapping[str, 
     here = versions()
     if here != dict(expected):
         return CaseResult(FAILED, versions=here)
-    simulated = decode_cell(cell)
     calibrate: Procedure = load_entry("procedures", "calibrate")
     try:
-        plan = calibrate.plan(simulated, seed)
+        simulated, plan = _planned(cell, seed)
     except HilcellError as error:
         return CaseResult(CANNOT_BE, str(error))
     with tempfile.TemporaryDirectory(prefix="hilcell-study-") as folder:
@@ -125,6 +125,12 @@ def calibrate_case(cell: bytes, machine: int, seed: int, expected: Mapping[str, 
             return CaseResult(
                 FAILED, f"a defect, please report it: {type(error).__name__}: {error}"
             )
+
+
+@lru_cache(64)  # of some 0.1 MiB; machines of one design share them
+def _planned(content: bytes, seed: int) -> tuple[Cell, Plan]:
+    cell, calibrate = decode_cell(content), load_entry("procedures", "calibrate")
+    return cell, calibrate.plan(cell, seed)
 
 
 def versions() -> dict[str, str]:

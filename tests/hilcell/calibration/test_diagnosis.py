@@ -26,7 +26,7 @@ from hilcell.journal.runs import JOURNAL
 from hilcell.model.frame import Frame, MeasuredBase
 from hilcell.model.plan import PreviousReference
 from hilcell.model.point import Point
-from hilcell.model.verdicts import Cause, Suspicion
+from hilcell.model.verdicts import Cause, Revisited, Suspicion
 from hilcell.ports import Array
 from procedures.plan import joints_for
 from procedures.validate import targets
@@ -142,6 +142,17 @@ SUSPECTED = {
 @pytest.mark.parametrize("name", DISTURBANCES)
 def test_a_small_change_is_named_where_no_large_one_is(records: list[Record], name: str) -> None:
     assert [each.cause for each in suspected_causes(disturbed(records, name))] == SUSPECTED[name]
+
+
+def test_causes_follow_from_a_verdict_that_comes_later(records: list[Record]) -> None:
+    """They are kept until then, and not until the next measurement."""
+    log = Log(records)
+    assert suspected_causes(log) == []
+    cause = Suspicion(Cause.MOUNT_SLIPPED, 2.0, "mm", "re-visits")
+    found = Revisited(holds=False, ratio=9.0, limit=2.0, suspicion=cause, suspected=[cause.text])
+    body = msgspec.to_builtins(found)
+    log.take(Record(log.version + 1, records[-1].t, "verdict", "revisits", body))
+    assert suspected_causes(log) == [cause]
 
 
 def test_every_cause_is_in_a_test_here_or_beside_it() -> None:
