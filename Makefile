@@ -59,6 +59,7 @@ types: $(VENV)/more  ## types once more, by mypy
 docs: $(VENV)/docs  ## the manual as a site in site/, with the pages that are written from the code
 	$(BIN)/python -m hilcell.alarms.page > docs/alarms.md
 	$(BIN)/python -m hilcell.commands.manual > docs/cli.md
+	$(BIN)/python -m fakes.truth.sizes_page > docs/machine-sizes.md
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --clean
 
 gauges:  ## modules, lines, names, Any, shapes of each noun; docs/architecture.md

@@ -62,17 +62,26 @@ class Errors(Frozen, frozen=True, kw_only=True):
     cube against the ideal base, or its RMS after the best rigid motion.
     """
 
-    scaled_by: Literal["mean", "varying"]
-    size_mm: Extent
-    largest_mm: Extent
-    zero_urad: Angle
-    length_mm: Offset
-    twist_urad: Angle
-    tool_mm: Offset
-    gravity_urad: Angle
-    gravity_side_urad: Angle
-    harmonics_urad: list[Angle]  # one, two, .. cycles a revolution
-    elastic_urad: Angle = 0.0  # axis 2 by the product of upper arm's and forearm's load
+    scaled_by: Annotated[
+        Literal["mean", "varying"],
+        "of the total: mean error over the cube, or RMS after the best rigid motion",
+    ]
+    size_mm: Annotated[Extent, "to which all errors of this table are scaled together"]
+    largest_mm: Annotated[Extent, "an arm with a larger error in the cube is drawn again"]
+    zero_urad: Annotated[Angle, "zeros of the joints"]
+    length_mm: Annotated[Offset, "shift of each axis from the second on: lengths and offsets"]
+    twist_urad: Annotated[Angle, "tilt of each axis from the second on"]
+    tool_mm: Annotated[Offset, "place of the reflector on the flange, each coordinate"]
+    gravity_urad: Annotated[
+        Angle, "bending of axes 2 and 3 by weight: half of this to one and a half"
+    ]
+    gravity_side_urad: Annotated[
+        Angle, "the same with the arms upright, where weight hardly bends them"
+    ]
+    harmonics_urad: Annotated[
+        list[Angle], "errors of each joint with one, two, .. cycles a revolution"
+    ]
+    elastic_urad: Annotated[Angle, "axis 2 by the product of upper arm's and forearm's load"] = 0.0
 
     def __post_init__(self) -> None:
         refuse_descending(self, "size_mm", "largest_mm")
@@ -94,17 +103,19 @@ class Band(Frozen, frozen=True, kw_only=True):
 class Transmission(Frozen, frozen=True, kw_only=True):
     """Gears: ripple, lost motion, repeatability; and the arm's thermal growth."""
 
-    ripple_urad: Angle
-    pins: Cycles
-    ratios: Cycles
-    half_gap_urad: Angle
-    rp_mm: Extent
-    load_share: Share = 0.0  # largest relative change of the ripple with a joint's load
-    unlisted_urad: Angle = 0.0  # amplitude of a harmonic that is not in the gear data
-    band: list[Band] = field(default_factory=list)
-    growth_um_m_k: Rate = 0.0
-    resonance_hz: Size = 8.0  # the arm's lowest, which motion excites
-    damping: Share = 0.05
+    ripple_urad: Annotated[Angle, "amplitude of a gear's ripple"]
+    pins: Annotated[Cycles, "least and most cycles of ripple a revolution"]
+    ratios: Annotated[Cycles, "the same, of the faster ripple"]
+    half_gap_urad: Annotated[Angle, "half the lost motion of each joint, +-20 %"]
+    rp_mm: Annotated[Extent, "repeatability RP (ISO 9283), mean over the cube"]
+    load_share: Annotated[Share, "largest relative change of the ripple with a joint's load"] = 0.0
+    unlisted_urad: Annotated[Angle, "amplitude of a harmonic that is not in the gear data"] = 0.0
+    band: Annotated[
+        list[Band], "further ripple: tables of `cycles` (least, most), `rms_urad`, `lines`"
+    ] = field(default_factory=list)
+    growth_um_m_k: Annotated[Rate, "growth of the arm with the ambient temperature"] = 0.0
+    resonance_hz: Annotated[Size, "the arm's lowest, which motion excites"] = 8.0
+    damping: Annotated[Share, "of this resonance, as a share of the critical"] = 0.05
 
     def __post_init__(self) -> None:
         refuse_backwards(pins=self.pins, ratios=self.ratios)
@@ -123,42 +134,54 @@ def refuse_backwards(**ranges: tuple[int, int]) -> None:
 class RailSizes(Frozen, frozen=True, kw_only=True):
     """The errors of the rail and of its strip; without a ``strip`` the encoder replaces it."""
 
-    strip: bool = True
-    power_on_mm: Length = 640.0
-    backlash_mm: Extent
-    curve_mm: Offset
-    curve_span_mm: Size
-    ways_mm: Offset = 0.01  # difference between the curves up and down, besides the backlash
-    landing_mm: Offset = 0.01
-    short_landing_mm: Offset = 0.0015
-    straightness_mm: Offset = 0.06
-    lean_urad: Angle = 100.0
-    tilt_urad: Angle = 300.0
-    strip_long_mm: Offset = 0.004
-    strip_pole_mm: Offset = 0.002
+    strip: Annotated[
+        bool, "whether there is a strip; without one the drive's encoder replaces it"
+    ] = True
+    power_on_mm: Annotated[Length, "position at power-on"] = 640.0
+    backlash_mm: Annotated[Extent, "between drive and slide, +-2 %"]
+    curve_mm: Annotated[Offset, "largest error of the position along the rail, on the way up"]
+    curve_span_mm: Annotated[Size, "travel over which this error is the largest"]
+    ways_mm: Annotated[
+        Offset, "difference between the curves up and down, besides the backlash"
+    ] = 0.01
+    landing_mm: Annotated[Offset, "repeatability after a move of 100 mm or more"] = 0.01
+    short_landing_mm: Annotated[Offset, "the same after the shortest moves"] = 0.0015
+    straightness_mm: Annotated[Offset, "of the rail, in each direction across"] = 0.06
+    lean_urad: Annotated[Angle, "tilt of the slide along the travel, about each axis"] = 100.0
+    tilt_urad: Annotated[Angle, "the rail's direction against the cell file's, about each axis"] = (
+        300.0
+    )
+    strip_long_mm: Annotated[Offset, "error of the strip over metres"] = 0.004
+    strip_pole_mm: Annotated[Offset, "amplitude of its error within a pole of 5 mm"] = 0.002
 
 
 class Mounting(Frozen, frozen=True, kw_only=True):
     """Deviations of places from the cell file."""
 
-    bolted_mm: Offset = 1.2
-    bolted_urad: Angle = 500.0
-    floor_nest_mm: Offset = 1.0
-    slide_nest_mm: Offset = 1.2
-    seat_mm: Offset = 0.5  # a reflector on the flange, from the tool point
-    tracker_mm: Offset = 3.0
-    tracker_urad: Angle = 1000.0
+    bolted_mm: Annotated[Offset, "place of the robot on the slide, each coordinate"] = 1.2
+    bolted_urad: Annotated[Angle, "its tilt, about each axis"] = 500.0
+    floor_nest_mm: Annotated[Offset, "floor nests and nests of bars, each coordinate"] = 1.0
+    slide_nest_mm: Annotated[Offset, "nests on the slide, each coordinate"] = 1.2
+    seat_mm: Annotated[
+        Offset, "further reflectors on the flange from the first, each coordinate"
+    ] = 0.5
+    tracker_mm: Annotated[Offset, "place of the tracker, each coordinate"] = 3.0
+    tracker_urad: Annotated[Angle, "its tilt, about each axis"] = 1000.0
 
 
 class TrackerSizes(Frozen, frozen=True, kw_only=True):
     """The tracker's noise and slow drift, and the ambient temperature."""
 
-    radial_um: Rate = 7.5
-    across_um_m: Rate = 2.5
-    drift_mm: Offset = 0.002
-    axes_urad: Angle = 1.0  # collimation, transit tilt and index errors after its last adjustment
-    room_c: Annotated[float, Meta(ge=-20, le=60)] = 23.0
-    room_swing_k: Annotated[float, Meta(ge=0, le=30)] = 0.8
+    radial_um: Annotated[Rate, "noise of a reading along the beam"] = 7.5
+    across_um_m: Annotated[Rate, "noise of a reading across the beam, each direction"] = 2.5
+    drift_mm: Annotated[Offset, "slow drift, each coordinate, over hours"] = 0.002
+    axes_urad: Annotated[
+        Angle, "errors of collimation, transit tilt and index after the last adjustment"
+    ] = 1.0
+    room_c: Annotated[Annotated[float, Meta(ge=-20, le=60)], "mean ambient temperature"] = 23.0
+    room_swing_k: Annotated[
+        Annotated[float, Meta(ge=0, le=30)], "by how much it swings to either side in three hours"
+    ] = 0.8
 
 
 class Controller(Frozen, frozen=True, kw_only=True):

@@ -27,7 +27,7 @@ AXIS_RAD = np.radians(0.0005)  # joints and pose are some ms apart, and a robot 
 class Deviation:
     """Deviation of a pose (4, 4) from that of joints (6,) by the cell file's arm, and its limits.
 
-    Each point has one: what few need is computed when it is read.
+    Each point has one, and few need its limits, so these are computed when they are read.
     """
 
     limit_rad = float(ROUNDING_RAD + 6.0 * AXIS_RAD)

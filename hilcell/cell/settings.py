@@ -218,7 +218,20 @@ def _refused(table: _PartialTable) -> list[str]:
 @cache
 def _fields(kind: type[msgspec.Struct]) -> Mapping[str, msgspec.structs.FieldInfo]:
     """Return a table's fields by key; cached, for annotations are evaluated."""
-    return {field.encode_name: field for field in msgspec.structs.fields(kind)}
+    fields = msgspec.structs.fields(kind)
+    return {
+        field.encode_name: msgspec.structs.replace(field, type=_without_text(field.type))
+        for field in fields
+    }
+
+
+def _without_text(kind: Any) -> Any:
+    """Return a type without the texts among its annotations, which are for people."""
+    if typing.get_origin(kind) is not typing.Annotated:
+        return kind
+    bare, *more = typing.get_args(kind)
+    kept = [each for each in more if not isinstance(each, str)]
+    return typing.Annotated[bare, *kept] if kept else bare
 
 
 def _short(value: object) -> str:

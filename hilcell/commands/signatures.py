@@ -372,7 +372,7 @@ class RunStudy(Signature):
         default="",
         flags=OUTPUT,
     )
-    dry_run: bool = option("only list the cases", default=False)
+    dry_run: bool = option("only plan each point, and list the cases", default=False)
     json: bool = JSON
 
 

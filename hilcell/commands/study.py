@@ -5,11 +5,11 @@ from __future__ import annotations
 import itertools
 import os
 from collections import Counter
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from hilcell.atomic_files import check_output, write_whole
 from hilcell.commands.console import print_data, print_json, print_message, print_table
@@ -17,8 +17,9 @@ from hilcell.commands.signatures import RunStudy
 from hilcell.errors import EXIT_ABORTED, EXIT_FAULT, EXIT_OK, EXIT_OUT_OF_TOLERANCE, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.signals import interrupted_once
-from hilcell.sanitize import clean, harmless_lines
-from hilcell.study.design import Case, cases
+from hilcell.sanitize import clean, counted, harmless_lines
+from hilcell.study.case import Row
+from hilcell.study.design import Case, cases, points
 from hilcell.study.study_file import Study, read_study
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from hilcell.study.tables import Summary
 
 REPORT = "report"
+T = TypeVar("T")
 
 
 def study(args: RunStudy) -> int:
@@ -101,9 +103,20 @@ def _run(args: RunStudy) -> int:
 
 
 def _dry_run(study: Study, *, as_json: bool) -> int:
+    """Plan each point, and list the cases."""
+    from hilcell.study.runner import plan_of
+    from hilcell.study.tables import point_columns
+
+    listed = points(study)
+    with _progress(study, len(listed)) as advance:
+        plans = {each.number: advance(plan_of(study, each)) for each in listed}
     planned = cases(study)
     if as_json:
-        listed = [
+        of_points = [
+            {"point": number, "minutes": each.minutes, "cannot_be": each.cannot_be}
+            for number, each in plans.items()
+        ]
+        of_cases = [
             {
                 "case": each.number,
                 "point": each.point.number,
@@ -113,10 +126,8 @@ def _dry_run(study: Study, *, as_json: bool) -> int:
             }
             for each in planned
         ]
-        print_json({"study": study.name, "cases": listed})
+        print_json({"study": study.name, "points": of_points, "cases": of_cases})
         return EXIT_OK
-    from hilcell.study.tables import point_columns
-
     point, *factors = point_columns(study)
     columns: list[Column[Case]] = [
         Column("case", attrgetter("number"), form="d"),
@@ -124,11 +135,21 @@ def _dry_run(study: Study, *, as_json: bool) -> int:
         Column("machine", attrgetter("machine"), form="d"),
         Column("seed", attrgetter("seed"), form="d"),
         *factors,
+        Column("minutes", lambda each: plans[each.point.number].shown_minutes, form=".1f"),
     ]
     most_listed = 1000  # a table of 65 536 takes half a minute
     print_table(Table(columns, itertools.islice(planned, most_listed)))
     if more := sum(1 for _ in planned):
         print_message(f"{more} more cases; --json lists all")
+    reasons: dict[str, list[int]] = {}
+    for number, each in plans.items():
+        if each.cannot_be:
+            reasons.setdefault(each.cannot_be, []).append(number)
+    for reason, numbers in reasons.items():
+        print_data(harmless_lines(f"\npoints that cannot be: {', '.join(map(str, numbers))}"))
+        print_data(harmless_lines(reason))
+    bad = sum(map(len, reasons.values()))
+    print_message(f"{counted(len(plans), 'point')}, of which {bad} cannot be")
     if study.optimise is not None:
         print_message(
             f"the search starts from these; it simulates at most {study.most_cases} cases"
@@ -147,18 +168,31 @@ def _workers(args: RunStudy) -> AbstractContextManager[Workers]:
 def _measured(
     results: Results, workers: Workers, planned: int, finished: int, check: Callable[[], None]
 ) -> Counter[str]:
-    """Simulate the remaining cases, with a progress bar on stderr; ``check`` may end it."""
-    from hilcell.commands.run_output import progress_bar
+    """Simulate the remaining cases; ``check`` may end it."""
     from hilcell.study.runner import run_study
 
-    with progress_bar() as progress:
-        task = progress.add_task(clean(results.study.name), total=planned, completed=finished)
+    with _progress(results.study, planned, finished) as advance:
 
-        def on_progress(_: object) -> None:
-            progress.advance(task)
+        def on_progress(row: Row) -> None:
+            advance(row)
             check()
 
         return run_study(results, workers, on_progress)
+
+
+@contextmanager
+def _progress(study: Study, total: int, finished: int = 0) -> Iterator[Callable[[T], T]]:
+    """Show a progress bar on stderr; yield a function that advances it and returns its argument."""
+    from hilcell.commands.run_output import progress_bar
+
+    with progress_bar() as progress:
+        task = progress.add_task(clean(study.name), total=total, completed=finished)
+
+        def advance(done: T) -> T:
+            progress.advance(task)
+            return done
+
+        yield advance
 
 
 def _report(args: RunStudy) -> int:

@@ -17,6 +17,7 @@ import io
 import os
 import re
 import secrets
+import struct
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Self
@@ -39,6 +40,7 @@ SAMPLES = np.dtype(
 JOINTS = np.dtype(
     [("joints_rad", "<f8", (6,)), ("before_s", "<f8"), ("after_s", "<f8"), ("device_s", "<f8")]
 )
+JOINT_ROW = struct.Struct("<9d")  # of `JOINTS`: one comes at a time
 Rows = NDArray[np.void]
 
 
@@ -79,18 +81,15 @@ class StreamFile:
             rows = np.zeros(len(block.device_s), SAMPLES)
             rows["device_s"], rows["xyz_mm"] = block.device_s, block.xyz_mm
             rows["after_s"], rows["by_s"] = block.arrived_after_s, block.arrived_by_s
-            self._append(rows)
+            self._append(SAMPLES, rows.tobytes())
             if self._first_s is None:
                 self._first_s = self._last_s = float(block.device_s[0])
             steps_s = np.diff(block.device_s, prepend=self._last_s)
             self._gap_s = max(self._gap_s, float(steps_s.max()))
             self._last_s = float(block.device_s[-1])
         for sample in joints:
-            row = np.zeros(1, JOINTS)
-            row["joints_rad"] = sample.joints_rad
-            row["before_s"], row["after_s"] = sample.before_s, sample.after_s
-            row["device_s"] = sample.device_s
-            self._append(row)
+            times_s = sample.before_s, sample.after_s, sample.device_s
+            self._append(JOINTS, JOINT_ROW.pack(*sample.joints_rad.tolist(), *times_s))
 
     def finish(self) -> StreamRecorded:
         """Make the file durable under its name; return its record.
@@ -129,10 +128,9 @@ class StreamFile:
     def _part(self) -> Path:
         return self._path.with_name(self._path.name + self.UNFINISHED)
 
-    def _append(self, rows: Rows) -> None:
-        kind = rows.dtype
-        self._counts[kind] += len(rows)
-        self._waiting[kind] += rows.tobytes()
+    def _append(self, kind: np.dtype[np.void], rows: bytes) -> None:
+        self._counts[kind] += len(rows) // kind.itemsize
+        self._waiting[kind] += rows
         if len(self._waiting[kind]) >= ROWS * kind.itemsize:
             try:
                 self._write(kind)

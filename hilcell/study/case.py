@@ -99,7 +99,7 @@ def calibrate_case(cell: bytes, machine: int, seed: int, expected: Mapping[str, 
         return CaseResult(FAILED, versions=here)
     calibrate: Procedure = load_entry("procedures", "calibrate")
     try:
-        simulated, plan = _planned(cell, seed)
+        simulated, plan = planned(cell, seed)
     except HilcellError as error:
         return CaseResult(CANNOT_BE, str(error))
     with tempfile.TemporaryDirectory(prefix="hilcell-study-") as folder:
@@ -128,7 +128,8 @@ def calibrate_case(cell: bytes, machine: int, seed: int, expected: Mapping[str, 
 
 
 @lru_cache(64)  # of some 0.1 MiB; machines of one design share them
-def _planned(content: bytes, seed: int) -> tuple[Cell, Plan]:
+def planned(content: bytes, seed: int) -> tuple[Cell, Plan]:
+    """Return a cell and its plan for the targets of a seed; raises `HilcellError`."""
     cell, calibrate = decode_cell(content), load_entry("procedures", "calibrate")
     return cell, calibrate.plan(cell, seed)
 

@@ -11,14 +11,14 @@ from __future__ import annotations
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from hilcell.cell.settings import SettingsError
-from hilcell.ports import Array
+from hilcell.ports import Array, HilcellError
 from hilcell.study.analysis import designs, value
-from hilcell.study.case import CANNOT_BE, DONE, CaseResult, Row, encode_cell
+from hilcell.study.case import CANNOT_BE, DONE, CaseResult, Row, encode_cell, planned
 from hilcell.study.design import (
     Case,
     Point,
@@ -30,7 +30,7 @@ from hilcell.study.design import (
     point_key,
 )
 from hilcell.study.results import Results, case_row
-from hilcell.study.study_file import Optimum, study_cell
+from hilcell.study.study_file import Optimum, Study, study_cell
 
 if TYPE_CHECKING:
     from hilcell.study.cluster import Workers
@@ -58,6 +58,27 @@ def run_study(
         run.store()
     results.merge()
     return run.counts
+
+
+class PointPlan(NamedTuple):
+    """Minutes of robot and people of a point's cases, or why they cannot be."""
+
+    minutes: float | None
+    cannot_be: str = ""
+
+    @property
+    def shown_minutes(self) -> float | str:
+        return CANNOT_BE if self.minutes is None else self.minutes
+
+
+def plan_of(study: Study, point: Point) -> PointPlan:
+    """Plan a point's calibration for each set of targets; all machines share it."""
+    try:
+        cell = encode_cell(study_cell(study, point.values))
+        plans = [planned(cell, seed)[1] for seed in range(1, study.seeds + 1)]
+    except HilcellError as error:
+        return PointPlan(None, str(error))
+    return PointPlan(max(each.duration_s for each in plans) / 60.0 + point.minutes)
 
 
 class _Execution:

@@ -11,10 +11,12 @@ from fakes.faults import load_faults
 from fakes.kuka.controller import KrlController
 from fakes.simulator import PaperCell
 from fakes.truth.machine import cell_machine, load_machine
+from fakes.truth.sizes_page import page
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from tests.fakes.conftest import simulated_site
 
+ROOT = Path(__file__).parents[2]
 FOLDER = resources.files("fakes.truth.machines")
 
 
@@ -51,6 +53,26 @@ def test_an_unknown_machine_is_refused(cell: Cell) -> None:
     simulation = msgspec.structs.replace(cell.simulation, machine="papr")
     with pytest.raises(SettingsError, match=r"simulation\.machine"):
         PaperCell(msgspec.structs.replace(cell, simulation=simulation), seed=1)
+
+
+def test_the_page_of_sizes_is_the_types() -> None:
+    """Write it again with ``python -m fakes.truth.sizes_page > docs/machine-sizes.md``."""
+    assert (ROOT / "docs/machine-sizes.md").read_text("utf-8") == page()
+
+
+@pytest.mark.parametrize(
+    ("key", "nearest"),
+    [
+        ("rail.backlsh_mm", "backlash_mm"),
+        ("tracker.radial", "radial_um"),
+        ("mountng.seat", "mount"),
+    ],
+)
+def test_a_mistyped_size_names_the_nearest(key: str, nearest: str) -> None:
+    cell = load_cell("paper", {f"simulation.sizes.{key}": "0.05"})
+    table = key.partition(".")[0]
+    with pytest.raises(SettingsError, match=f'{table}.*did you mean "{nearest}'):
+        cell_machine(cell)
 
 
 def test_single_sizes_of_a_machine_are_replaced() -> None:

@@ -414,10 +414,19 @@ def _speak(listening: socket.socket, answer: bytes) -> None:
 
 def test_a_dry_run_lists_the_cases(tmp_path: Path) -> None:
     path = written(tmp_path)
-    listed = json.loads(command("study", path, "--dry-run", "--json").stdout)["cases"]
+    found = json.loads(command("study", path, "--dry-run", "--json").stdout)
+    listed, plans = found["cases"], found["points"]
     assert [each["case"] for each in listed] == list(range(1, 9))
     assert listed[1]["settings"] == {"layout.nest_samples": 2, "grid.centre.x_mm": 3850.0}
-    assert "far" in command("study", path, "--dry-run").stdout
+    assert [each["point"] for each in plans] == [1, 2, 3, 4]
+    assert [each["minutes"] is None for each in plans] == [False, True, False, True]  # far
+    assert ["grid" in each["cannot_be"] for each in plans] == [False, True, False, True]
+    cell = encode_cell(study_cell(read_study(path), listed[0]["settings"]))
+    assert calibrate_case(cell, 1, 1, versions()).minutes == plans[0]["minutes"]
+    shown = command("study", path, "--dry-run").stdout
+    assert "far" in shown
+    assert f"{plans[0]['minutes']:.1f}" in shown
+    assert "points that cannot be: 2, 4" in shown  # with the reason, once
     many = written(tmp_path, head="machines = 300")
     printed = command("study", many, "--dry-run")
     assert "│ 1000 │" in printed.stdout
