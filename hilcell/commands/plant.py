@@ -185,7 +185,7 @@ class Overview:
         names = sorted({state.cell for state in states})
         if cell and cell not in names:
             raise HilcellError(f"unknown cell {cell[:80]!r}{did_you_mean(cell, names)}")
-        trends = robots(connection, robot, cell)
+        trends = robots(connection, robot, cell, left_out)
         if robot and not trends:
             raise HilcellError(f"robot {robot[:80]!r} has no calibration in these records")
         places = {(each.cell, each.serial, each.machine) for each in trends}

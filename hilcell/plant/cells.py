@@ -6,15 +6,16 @@ Inconsistent are serial numbers or names that several cells or runs share, and c
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from operator import attrgetter
+from uuid import UUID
 
 import msgspec
-from sqlalchemy import CTE, ColumnElement, Connection, Table, Text, and_, cast, func, or_, select
+from sqlalchemy import CTE, ColumnElement, Connection, Text, and_, cast, func, or_, select
 
 from hilcell.calibration.validity import CLOCK_ERROR, MAX_AGE_DAYS
 from hilcell.decoding import decoded
@@ -112,19 +113,31 @@ def _runs_since(connection: Connection, doubts: list[Doubt]) -> defaultdict[Name
     )
     begun = connection.execute(select(every.c.key, proven.label("ended"))).all()
     known = [and_(RUN.c.cell_key == key, RUN.c.ended >= ended) for key, ended in begun if ended]
+    runs, spoilt = _run_rows(connection, known, doubts)
+    # The calibration from which to read on may be one that is left out.
+    return runs | _run_rows(connection, [RUN.c.cell_key == key for key in spoilt], doubts)[0]
+
+
+def _run_rows(
+    connection: Connection, of_cells: Sequence[ColumnElement[bool]], doubts: list[Doubt]
+) -> tuple[defaultdict[Name, list[RunRow]], set[UUID]]:
+    """Return the runs of cells, and the keys of cells of which one was left out."""
     runs: defaultdict[Name, list[RunRow]] = defaultdict(list)
+    spoilt: set[UUID] = set()
     batch = 200  # cells of one query
-    for start in range(0, len(known), batch):
-        own = or_(*known[start : start + batch])
+    for start in range(0, len(of_cells), batch):
         query = (
-            select(*_STATED, RUN.c.machine, cast(OUTCOME.c.row, Text).label("row"))
-            .join(OUTCOME, OUTCOME.c.digest == RUN.c.digest)
-            .where(own, RUN.c.newest)
+            select(*_STATED, RUN.c.machine, RUN.c.cell_key, cast(OUTCOME.c.row, Text).label("row"))
+            .outerjoin(OUTCOME, OUTCOME.c.digest == RUN.c.digest)
+            .where(or_(*of_cells[start : start + batch]), RUN.c.newest)
         )
         for row in connection.execute(query):
-            with left_out(row, OUTCOME, doubts):
+            before = len(doubts)
+            with left_out(row, doubts):
                 runs[row.cell, row.serial, row.machine].append(_run_row(row))
-    return runs
+            if len(doubts) > before:
+                spoilt.add(row.cell_key)
+    return runs, spoilt
 
 
 _TIMES = ("begun", "ended")
@@ -135,6 +148,8 @@ _STATED = tuple(
 
 def _run_row(row: Row) -> RunRow:
     """Return a run's row; raises `ValueError` where it is none, or contradicts the columns."""
+    if row.row is None:
+        raise ValueError("expected a row in the table outcome, got none")
     run = decoded(row.row, RunRow)
     for column in _STATED:
         stated, own = getattr(run, column.name), getattr(row, column.name)
@@ -145,18 +160,18 @@ def _run_row(row: Row) -> RunRow:
     return run
 
 
+UNREADABLE = (msgspec.MsgspecError, ValueError, TypeError, ArithmeticError, RecursionError)
+
+
 @contextmanager
-def left_out(run: Row, table: Table, doubts: list[Doubt]) -> Iterator[None]:
+def left_out(run: Row, doubts: list[Doubt]) -> Iterator[None]:
     """Leave a run out whose rows cannot be read, and add it to ``doubts``."""
     try:
         yield
-    except (msgspec.MsgspecError, ValueError, TypeError, ArithmeticError, RecursionError) as error:
+    except UNREADABLE as error:
         why = clean(" ".join(str(error).split()))[:200]
-        text = (
-            f"cell {clean(run.cell)}: run {clean(run.name)} is left out: its row in the table "
-            f"{table.name} is not one of a run: {why}"
-        )
-        doubts.append(([run.cell], text))
+        named = f"cell {clean(run.cell)}: run {clean(run.name)}"
+        doubts.append(([run.cell], f"{named} is left out, its record cannot be read: {why}"))
 
 
 def _state(last: Row, since: list[RunRow], now: datetime, max_age_days: float) -> CellState:
@@ -195,7 +210,7 @@ def inconsistencies(
     of = _Inconsistencies(connection)
     checks = (of.serials, of.robots, of.namesakes, of.at_once, of.held, of.set_back)
     every = (*left_out, *(each for check in checks for each in check()))
-    return [text for names, text in every if not {*cells}.isdisjoint(names)]
+    return list(dict.fromkeys(text for names, text in every if not {*cells}.isdisjoint(names)))
 
 
 @dataclass(frozen=True, eq=False)

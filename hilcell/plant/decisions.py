@@ -64,7 +64,9 @@ def assign(connection: Connection, cell: str, serial: str | None, login: str) ->
     ``serial`` is needed where no cell, or several, have the name.
     """
     if connection.dialect.name != POSTGRESQL:
-        raise PlantError("plant: an SQLite file has no logins; use PostgreSQL where cells are not trusted")
+        raise PlantError(
+            "plant: an SQLite file has no logins; use PostgreSQL where cells are not trusted"
+        )
     exists = "SELECT 1 FROM pg_roles WHERE rolname = %s AND rolcanlogin"
     if not connection.exec_driver_sql(exists, (login,)).first():
         raise HilcellError(

@@ -44,16 +44,17 @@ from sqlalchemy import (
     type_coerce,
 )
 
-from hilcell.decoding import Json, typed
+from hilcell.decoding import Json, decoded
 from hilcell.identity import Identity
 from hilcell.journal.index import RunRow
 from hilcell.journal.log import changed_asset_kinds
 from hilcell.model.verdicts import OTHERS, VALIDATION
-from hilcell.plant.cells import CELL, selected
+from hilcell.plant.cells import CELL, UNREADABLE, Doubt, left_out, selected
 from hilcell.plant.record import TRACKER
 from hilcell.plant.tables import (
     ALARM,
     DEVICE,
+    FARTHEST_MM,
     FRAME,
     GRID,
     LENGTH,
@@ -317,8 +318,14 @@ class _Robot(NamedTuple):
     quantities: dict[str, Series]
 
 
-def robots(connection: Connection, robot: str = "", cell: str = "") -> list[RobotTrend]:
-    """Return the trend of all calibrated robots, or of one by its serial number."""
+def robots(
+    connection: Connection, robot: str = "", cell: str = "", doubts: list[Doubt] | None = None
+) -> list[RobotTrend]:
+    """Return the trend of all calibrated robots, or of one by its serial number.
+
+    Add the runs left out to ``doubts``.
+    """
+    doubts = [] if doubts is None else doubts
     base = FRAME.alias("base")
     place = (RUN.c.robot, *CELL)
     query = (
@@ -334,17 +341,23 @@ def robots(connection: Connection, robot: str = "", cell: str = "") -> list[Robo
     )  # fmt: skip
     rows = connection.execute(query, execution_options={"yield_per": 1000})  # 1 kB each and more
     every = [
-        _robot(place, list(of_place))
+        found
         for place, of_place in groupby(rows, attrgetter("robot", "cell", "serial", "machine"))
+        if (found := _robot(place, list(of_place), doubts)) is not None
     ]
     trends = iter(fit_trends([each for robot in every for each in robot.quantities.values()]))
     return [
-        _Robots(connection).trend(each, {what: next(trends) for what in each.quantities})
+        _Robots(connection, doubts).trend(each, {what: next(trends) for what in each.quantities})
         for each in every
     ]
 
 
-def _robot(place: tuple[str, str, str, str], rows: Sequence[Row]) -> _Robot:
+def _robot(
+    place: tuple[str, str, str, str], rows: Sequence[Row], doubts: list[Doubt]
+) -> _Robot | None:
+    """Return a robot's calibrations, or None if none can be read."""
+    if not rows:
+        return None
     newest = rows[-1]
     alike = [
         row for row in rows if row.layout == newest.layout and len(row.errors) == len(newest.errors)
@@ -352,15 +365,17 @@ def _robot(place: tuple[str, str, str, str], rows: Sequence[Row]) -> _Robot:
     years = np.array([row.ended.timestamp() for row in alike]) / YEAR_S
     air_c = [row.temperature_c for row in alike]
     celsius = None if None in air_c else np.array(air_c, dtype=float)
-    errors_mm = np.frombuffer(b"".join(row.errors for row in alike), dtype="<f8")
-    matrices = f"[{','.join(row.matrix for row in alike)}]"
-    frames: Array = np.array(msgspec.json.decode(matrices), dtype=float)
+    try:
+        errors_mm, frames = _measured(alike)
+    except UNREADABLE:  # of one of them
+        bad = [row for row in alike if not _is_readable(row, doubts)]
+        return _robot(place, [row for row in rows if row not in bad], doubts)
     origins_mm = frames[:, :3, 3]
     arm_mm = 1000.0  # two points of {B}, this far along its x and y, show its rotation
     points_mm = [origins_mm, *(origins_mm + arm_mm * frames[:, :3, axis] for axis in (0, 1))]
     quantities = {}
     for what, vectors in (
-        (ARM, errors_mm.reshape(len(alike), -1)),
+        (ARM, errors_mm),
         (BASE, np.concatenate(points_mm, axis=1)),
     ):
         along_mm = main_direction(vectors) / np.sqrt(vectors.shape[1] / 3)  # rms of its points
@@ -369,9 +384,33 @@ def _robot(place: tuple[str, str, str, str], rows: Sequence[Row]) -> _Robot:
     return _Robot(place, calibrations, len(rows) - len(alike), quantities)
 
 
+def _measured(rows: Sequence[Row]) -> tuple[Array, Array]:
+    """Return the errors (N, 3 M) in {B} and the bases (N, 4, 4) in {W} of calibrations, mm.
+
+    Raises one of `UNREADABLE`.
+    """
+    errors_mm = np.frombuffer(b"".join(row.errors for row in rows), dtype="<f8")
+    matrices = f"[{','.join(row.matrix for row in rows)}]"
+    frames: Array = np.array(decoded(matrices, list[list[list[float]]]))
+    if frames.shape != (len(rows), 4, 4):
+        raise ValueError(f"expected matrices of 4 x 4, got {frames.shape[1:]}")
+    for what, values in (("errors", errors_mm), ("base", frames)):
+        if not (np.abs(values) <= FARTHEST_MM).all():
+            raise ValueError(f"expected numbers of at most {FARTHEST_MM:g} mm in its {what}")
+    return errors_mm.reshape(len(rows), -1), frames
+
+
+def _is_readable(row: Row, doubts: list[Doubt]) -> bool:
+    with left_out(row, doubts):
+        _measured([row])
+        return True
+    return False
+
+
 @dataclass(frozen=True, eq=False)
 class _Robots:
     connection: Connection
+    doubts: list[Doubt]
 
     def trend(self, of: _Robot, trends: dict[str, Trend | None]) -> RobotTrend:
         robot, cell, serial, machine = of.place
@@ -424,15 +463,15 @@ class _Robots:
             if kind in before and kind in now
         ]
         runs = (
-            select(OUTCOME.c.row)
+            select(RUN.c.cell, RUN.c.name, cast(OUTCOME.c.row, Text).label("row"))
             .join(RUN, RUN.c.digest == OUTCOME.c.digest)
             .where(between)
             .order_by(RUN.c.ended)
         )
         for row in self.connection.execute(runs):
-            run = typed(row.row, RunRow)
-            if run.facts.recheck == "redo":
-                messages.append(f"re-check: calibrate again ({run.name})")
+            with left_out(row, self.doubts):
+                if decoded(row.row, RunRow).facts.recheck == "redo":
+                    messages.append(f"re-check: calibrate again ({row.name})")
         alarms = (
             select(ALARM.c.code, ALARM.c.title, RUN.c.name)
             .join(RUN, RUN.c.digest == ALARM.c.digest)
@@ -585,7 +624,7 @@ def instruments(connection: Connection, cell: str = "", robot: str = "") -> list
 
     ``cell`` and ``robot`` select devices that were used with them; each row counts all its runs.
     """
-    of_devices = (RUN.c.devices, RUN.c.cell, RUN.c.robot)
+    of_devices = (RUN.c.devices, RUN.c.cell_key, RUN.c.cell, RUN.c.robot)
     uses = (
         select(
             *of_devices, func.count().label("runs"),
@@ -596,7 +635,11 @@ def instruments(connection: Connection, cell: str = "", robot: str = "") -> list
         .subquery("uses")
     )  # fmt: skip
     any_run = RUN.alias("any_run")  # of many with the same devices
-    alike = select(any_run.c.digest).where(any_run.c.newest, any_run.c.devices == uses.c.devices)
+    alike = select(any_run.c.digest).where(
+        any_run.c.newest,
+        any_run.c.devices == uses.c.devices,
+        any_run.c.cell_key == uses.c.cell_key,  # another cell may state the same
+    )
     query = select(DEVICE, uses).join_from(
         uses, DEVICE, DEVICE.c.digest == alike.limit(1).correlate(uses).scalar_subquery()
     )

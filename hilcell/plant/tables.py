@@ -266,7 +266,7 @@ _partial_index("run_proven", RUN, "newest AND proven", "cell_key", "ended")
 _partial_index("run_of_robot", RUN, "newest", "robot", "ended")
 _partial_index("run_held", RUN, "held", "cell_key", "ended")
 _partial_index("run_of_name", RUN, "newest", "cell", "serial", "name")
-_partial_index("run_of_devices", RUN, "newest", "devices")
+_partial_index("run_of_devices", RUN, "newest", "devices", "cell_key")
 _partial_index("run_real", RUN, "newest AND machine = ''", "cell_key", "begun", "first_ended")
 _partial_index("run_set_back", RUN, "ended < begun", "ended")
 
@@ -343,7 +343,7 @@ GRID = _part(
     _vectors("errors_mm", "errors, (N, 3) in {B}, mm, 8 bytes each, little-endian"),
     _figure("mean_mm", "mean length of the errors, mm", FARTHEST_MM),
     _perhaps("temperature_c", "mean of the air, deg C", 1e4),
-    _check("grid_errors", "length(errors_mm) = length(places_mm)"),
+    _check("grid_errors", "length(errors_mm) = length(places_mm) AND length(errors_mm) % 24 = 0"),
 )  # fmt: skip
 STREAM = _part(
     "stream",

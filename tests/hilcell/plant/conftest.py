@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import shutil
 from collections.abc import Iterator
 from contextlib import closing
@@ -11,6 +12,8 @@ from pathlib import Path
 import pytest
 
 from hilcell.plant.database import Database
+from hilcell.plant.rights import CELL, ENGINEER
+from tests.hilcell.plant.logins import Plant
 from tests.hilcell.plant.server import BLANK, MISSING, Server, server
 from tests.hilcell.plant.year import Model, Run
 from tests.whole.bench import command
@@ -77,3 +80,22 @@ def plant(postgresql: Server) -> Iterator[Database]:
     """Return a database of its own on the server, its tables made."""
     with closing(Database(postgresql.make(like=BLANK))) as database:
         yield database
+
+
+@pytest.fixture
+def both(model: Model, postgresql: Server, plant: Database, tmp_path: Path) -> Plant:
+    name = str(plant.engine.url.database)
+    mark = secrets.token_hex(3)
+    logins = {cell: f"{cell}_{mark}" for cell in ("north", "south", "reader")}
+    own = Plant(postgresql, name, tmp_path, logins)
+    with own.connect() as owner:
+        for cell, login in logins.items():
+            role = ENGINEER if cell == "reader" else CELL
+            owner.execute(f"CREATE ROLE {login} LOGIN IN ROLE {role}".encode())
+    for cell in ("north", "south"):
+        for days in (40, 20):
+            run = Run(f"{cell}-{days}", cell, f"HC-{cell}", NOW - days * DAY, f"R-{cell}")
+            model.write(tmp_path / cell, run)
+        done = command("plant", "ship", tmp_path / cell, "--to", own.url(cell))
+        assert done.returncode == 0, done.stderr
+    return own

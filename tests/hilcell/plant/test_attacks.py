@@ -6,106 +6,28 @@ The login has its password, so it sends any SQL; it need not be `hilcell` that s
 from __future__ import annotations
 
 import json
-import secrets
 from collections.abc import Callable
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import psycopg
 import pytest
-from psycopg.rows import DictRow, dict_row
-from psycopg.types.json import Json
 
 from hilcell.journal.runs import read_records
 from hilcell.plant.database import Database
 from hilcell.plant.record import first_128_bits, run_record
-from hilcell.plant.rights import CELL, ENGINEER
+from hilcell.plant.rights import CELL
 from hilcell.plant.shipper import ship
 from hilcell.plant.tables import PARTS, RUN
 from tests.hilcell.plant.conftest import DAY, NOW, refused
-from tests.hilcell.plant.server import Server
+from tests.hilcell.plant.logins import Plant, rows_of, send, sent
 from tests.hilcell.plant.test_export import private
 from tests.hilcell.plant.year import Model, Run, revoke
 from tests.whole.bench import command
 
 pytestmark = pytest.mark.process
 Change = Callable[[dict[str, Any]], None]
-
-
-@dataclass
-class Plant:
-    """A plant in which north and south were shipped, each by a login of its own."""
-
-    server: Server
-    name: str
-    folder: Path
-    logins: dict[str, str]
-
-    def url(self, cell: str = "") -> str:
-        return self.server.url(self.name, self.logins[cell] if cell else "owner")
-
-    def connect(self, cell: str = "") -> psycopg.Connection[DictRow]:
-        connect = psycopg.Connection[DictRow].connect
-        return connect(self.url(cell), autocommit=True, row_factory=dict_row)
-
-    def shown(self, *words: str) -> dict[str, Any]:
-        done = command("plant", "show", "--from", self.url("reader"), "--json", *words)
-        assert done.returncode == 0, done.stderr
-        shown: dict[str, Any] = json.loads(done.stdout)
-        return shown
-
-    def calibration(self, cell: str) -> str:
-        (state,) = (each for each in self.shown()["cells"] if each["cell"] == cell)
-        return str(state["calibration"])
-
-    def ask(self, sql: str, *values: object) -> list[DictRow]:
-        with self.connect() as owner:
-            return owner.execute(sql.encode(), values).fetchall()
-
-
-@pytest.fixture
-def both(model: Model, postgresql: Server, plant: Database, tmp_path: Path) -> Plant:
-    name = str(plant.engine.url.database)
-    mark = secrets.token_hex(3)
-    logins = {cell: f"{cell}_{mark}" for cell in ("north", "south", "reader")}
-    own = Plant(postgresql, name, tmp_path, logins)
-    with own.connect() as owner:
-        for cell, login in logins.items():
-            role = ENGINEER if cell == "reader" else CELL
-            owner.execute(f"CREATE ROLE {login} LOGIN IN ROLE {role}".encode())
-    for cell in ("north", "south"):
-        for days in (40, 20):
-            run = Run(f"{cell}-{days}", cell, f"HC-{cell}", NOW - days * DAY, f"R-{cell}")
-            model.write(tmp_path / cell, run)
-        done = command("plant", "ship", tmp_path / cell, "--to", own.url(cell))
-        assert done.returncode == 0, done.stderr
-    return own
-
-
-def sent(asked: psycopg.Connection[DictRow], table: str, row: dict[str, Any]) -> None:
-    names = ", ".join(f'"{name}"' for name in row)
-    values = [
-        Json(each) if isinstance(each, (dict, list, tuple)) or name == "covariance" else each
-        for name, each in row.items()
-    ]
-    places = ", ".join(["%s"] * len(row))
-    asked.execute(f"INSERT INTO {table} ({names}) VALUES ({places})".encode(), values)
-
-
-def rows_of(own: Plant, cell: str, run: str) -> dict[str, list[dict[str, Any]]]:
-    """Return the rows that a run's cell would send, by table."""
-    record = run_record(run, read_records(own.folder / cell / run))
-    return {table.name: [dict(each) for each in every] for table, every in record.rows.items()}
-
-
-def send(own: Plant, login: str, rows: dict[str, list[dict[str, Any]]]) -> None:
-    digest = first_128_bits(secrets.token_bytes(8))
-    with own.connect(login) as asked, asked.transaction():
-        for table in (RUN, *PARTS):
-            for row in rows.get(table.name, []):
-                sent(asked, table.name, row | {"digest": digest})
 
 
 def newest_of_north(own: Plant) -> dict[str, list[dict[str, Any]]]:
