@@ -13,14 +13,16 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping
+from multiprocessing import active_children
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 from benchmarks.words import parser
 from hilcell.study.analysis import answers
-from hilcell.study.case import RESULTS, calibrate_case, encode_cell, versions
-from hilcell.study.cluster import scheduler_workers
+from hilcell.study.case import RESULTS, encode_cell
+from hilcell.study.cluster import local_workers, scheduler_workers
+from hilcell.study.design import Case, Choice, Point
 from hilcell.study.results import Results
 from hilcell.study.runner import run_study
 from hilcell.study.study_file import read_study, study_cell
@@ -102,31 +104,38 @@ def many_cases() -> None:
         print(f"{time.process_time() - began_s:.1f} s of processor")
 
 
-def real_cases() -> None:
-    """Print whether a worker grows: real cases of 64 vertices and 30 targets, one after another."""
+def real_cases(count: int) -> None:
+    """Print whether workers of this PC grow: real cases of 64 vertices, 30 targets and sweeps."""
     with tempfile.TemporaryDirectory() as name:
         path = Path(name) / "study.toml"
         path.write_text(STUDY)
-        few = {"validation.per_cell": 1, "validation.others": 3, "sweeps.enabled": False}
+        few = {"validation.per_cell": 1, "validation.others": 3}
         cell = encode_cell(study_cell(read_study(path), few))
-    here, grown = versions(), []
-    for number in range(1, REAL + 1):
-        assert calibrate_case(cell, number, 1, here).state == "done"
-        if number in (REAL // 6, REAL):
-            grown.append(peak_mib(os.getpid()))
-    print(f"a worker's {REAL} real cases: {grown[0]:.0f} MiB after {REAL // 6}, ", end="")
-    print(f"{grown[1]:.0f} MiB after {REAL}")
+    nothing: tuple[Choice, ...] = ()
+    cases = [Case(n, Point(1, nothing), machine=n, seed=1) for n in range(1, count + 1)]
+    for workers in (1, 2):
+        with local_workers(workers, print) as pool:
+            pids = [each.pid or 0 for each in active_children() if "Dask Worker" in each.name]
+            grown = list[list[float]]()
+            for n, (_, row) in enumerate(pool.measure((each, cell) for each in cases), start=1):
+                assert row.state == "done", row.reason
+                if n in (count // 6, count):
+                    grown.append([peak_mib(pid) for pid in pids])
+            spent_s = sum(processor_s(pid) for pid in pids)
+        shown = [" and ".join(f"{each:.0f}" for each in times) for times in grown]
+        print(f"{workers} workers, {count} real cases: {shown[0]} MiB after {count // 6}, ", end="")
+        print(f"{shown[1]} MiB after all; {spent_s / count:.2f} s of processor a case", flush=True)
 
 
 def main() -> None:
     words = parser(__doc__)
-    words.add_argument("part", nargs="?", choices=["real"], help="cases that calibrate, alone")
-    if words.parse_args().part:
-        real_cases()
+    words.add_argument("real", nargs="?", type=int, help="so many cases that calibrate, alone")
+    if count := words.parse_args().real:
+        real_cases(count)
         return
     with patch("hilcell.study.cluster.calibrate_case", empty):
         many_cases()
-    subprocess.run([sys.executable, "-m", "benchmarks.study_scale", "real"], check=True)
+    subprocess.run([sys.executable, "-m", "benchmarks.study_scale", str(REAL)], check=True)
 
 
 if __name__ == "__main__":

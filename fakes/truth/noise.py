@@ -46,7 +46,7 @@ class KeyedNoise:
     def generator(self, key: str) -> np.random.Generator:
         """Return the generator that belongs to ``key`` alone."""
         digest = hashlib.sha256(f"{self._root}/{key}".encode()).digest()
-        return np.random.default_rng(np.frombuffer(digest, dtype=np.uint32))
+        return np.random.Generator(np.random.PCG64(np.frombuffer(digest, dtype=np.uint32)))
 
 
 class Dither:
