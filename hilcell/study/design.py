@@ -91,11 +91,26 @@ def points(study: Study) -> list[Point]:
             drawn = [choices_at(study, place) for place in places(study, generation(study, wanted))]
             found = iter({point_key(each): each for each in drawn}.values())
         case "sobol", _:
-            found = (choices_at(study, place) for place in places(study, study.samples or 0))
+            found = iter(distinct(study, study.different or 0))
         case _:
             ends = (each.span if each.is_range else range(len(each.ends)) for each in study.factor)
             found = (choices_at(study, place) for place in itertools.product(*ends))
     return [Point(n, choices) for n, choices in enumerate(found, start=1)]
+
+
+def distinct(study: Study, count: int) -> list[tuple[Choice, ...]]:
+    """Return so many different points of a Sobol sequence; a repeated one is drawn again.
+
+    Rare levels could take for ever: after eight times as many draws, combinations come in order.
+    """
+    draws = itertools.chain.from_iterable(places(study, n) for n in (count, 8 * count))
+    found: dict[tuple[float, ...], tuple[Choice, ...]] = {}
+    for place in itertools.chain(draws, itertools.product(*(each.steps for each in study.factor))):
+        if len(found) == count:
+            break
+        choices = choices_at(study, place)
+        found.setdefault(point_key(choices), choices)
+    return list(found.values())
 
 
 def cases(study: Study) -> Iterator[Case]:

@@ -174,6 +174,17 @@ class Factor(Frozen, frozen=True, kw_only=True):
         return self.low, self.high
 
     @property
+    def steps(self) -> Sequence[float]:
+        """Return the numbers of its levels, the whole numbers of a range, or the ends of another.
+
+        Of such a range there are more.
+        """
+        if self.is_whole:
+            low, high = self.span
+            return range(round(low), round(high) + 1)
+        return self.span if self.is_range else range(len(self.ends))
+
+    @property
     def names(self) -> list[str]:
         return self.labels or [_word(each) for each in self.ends]
 

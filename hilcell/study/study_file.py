@@ -108,10 +108,17 @@ class Study(Frozen, frozen=True, kw_only=True):
     @property
     def most_cases(self) -> int:
         """How many cases are measured, by an optimiser at most."""
-        points = self.samples or math.prod(len(each.ends) for each in self.factor)
+        points = self.different or math.prod(len(each.ends) for each in self.factor)
         if self.optimise is not None:
             points = self.optimise.trials
         return points * self.machines * self.seeds
+
+    @property
+    def different(self) -> int | None:
+        """How many points a Sobol design has: its samples, or all that differ."""
+        if self.samples is None or any(each.is_range and not each.is_whole for each in self.factor):
+            return self.samples
+        return min(self.samples, math.prod(len(each.steps) for each in self.factor))
 
     @property
     def has_costs(self) -> bool:

@@ -105,19 +105,46 @@ def test_a_sobol_design_follows_it(tmp_path: Path, table: str, wanted: stats.rv_
     assert found[0] == pytest.approx(1.0)
 
 
+BESIDE = factor(name="beside", setting="layout.base.x_mm", low=1.0, high=9.0)  # no point repeated
+
+
 def test_whole_numbers_stay_whole(tmp_path: Path) -> None:
     text = factor(low=2, high=9, distribution={}).replace(
         "{}", '{ kind = "normal", mean = 5, sd = 2.0 }'
     )
-    values = [each.choices[0].value for each in points(study(tmp_path, text, MANY))]
+    values = [each.choices[0].value for each in points(study(tmp_path, text + BESIDE, MANY))]
     assert set(values) == set(range(2, 10))
     assert values.count(5) == pytest.approx(512 * 0.1974 / 0.9105, abs=3)  # within 0.25 sd
 
 
 def test_levels_have_weights(tmp_path: Path) -> None:
-    text = factor(levels=[2, 3, 5], weights=[1, 5, 2])
+    text = factor(levels=[2, 3, 5], weights=[1, 5, 2]) + BESIDE
     values = [each.choices[0].value for each in points(study(tmp_path, text, MANY))]
     assert [values.count(level) for level in (2, 3, 5)] == [64, 320, 128]
+
+
+THREE = factor(levels=[2, 3, 5])
+PLACES = factor(name="p", setting="grid.centre.x_mm", levels=[1850.0, 3850.0, 5850.0])
+
+
+@pytest.mark.parametrize(
+    ("factors", "samples", "count"),
+    [
+        (THREE + PLACES, 8, 8),
+        (THREE + PLACES, 64, 9),  # all that there are
+        (factor(levels=[2, 3, 5], weights=[1, 1e12, 1]) + PLACES, 8, 8),
+        (factor(low=2, high=6) + PLACES, 16, 15),
+        (BESIDE, 64, 64),
+    ],
+)
+def test_no_point_of_a_sobol_design_is_drawn_twice(
+    tmp_path: Path, factors: str, samples: int, count: int
+) -> None:
+    asked = study(tmp_path, factors, f'design = "sobol"\nsamples = {samples}\nmachines = 2')
+    found = points(asked)
+    assert len({each.words for each in found}) == len(found) == count
+    assert [each.number for each in found] == list(range(1, count + 1))
+    assert len(list(cases(asked))) == asked.most_cases == 2 * count
 
 
 @pytest.mark.parametrize(
