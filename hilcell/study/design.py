@@ -105,7 +105,8 @@ def distinct(study: Study, count: int) -> list[tuple[Choice, ...]]:
     """
     draws = itertools.chain.from_iterable(places(study, n) for n in (count, 8 * count))
     found: dict[tuple[float, ...], tuple[Choice, ...]] = {}
-    for place in itertools.chain(draws, itertools.product(*(each.steps for each in study.factor))):
+    in_order = map(list, itertools.product(*(each.steps for each in study.factor)))
+    for place in itertools.chain(draws, in_order):
         if len(found) == count:
             break
         choices = choices_at(study, place)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from hilcell import __version__
 from hilcell.model.point import Sent
@@ -15,7 +17,7 @@ from hilcell.present.renderers import environment
 from hilcell.report.drawings.drawing import shortened
 from hilcell.report.drawings.figures import COLOURS, INK, MUTED, axes_grid, in_style, svg_of
 from hilcell.sanitize import harmless
-from hilcell.study.analysis import Answers, Effect
+from hilcell.study.analysis import Answers, Design, Effect
 from hilcell.study.case import RESULTS
 from hilcell.study.study_file import Study
 from hilcell.study.tables import Summary
@@ -35,10 +37,13 @@ def page(summary: Summary) -> str:
         if found.designs:
             plots["front_plot"] = _front(study, found)
         if effects:
-            means_mm = np.array([[each.mean.mean, *each.mean.ends] for each in effects])
+            errors = [each.true_mean if found.by_truth else each.mean for each in effects]
+            means_mm = np.array([[each.mean, *each.ends] for each in errors])
             shares = np.array([[each.covered.mean, *each.covered.ends] for each in effects])
-            words = [each.mean.text() for each in effects]
-            plots["effects_plot"] = _levels("effects", effects, means_mm, words, _error(study))
+            words = [each.text() for each in errors]
+            plots["effects_plot"] = _levels(
+                "effects", effects, means_mm, words, _error(study, found)
+            )
             words = [each.covered.text() for each in effects]
             name = "targets within their 95 % bound, %"
             plots["coverage_plot"] = _levels("covered", effects, 100.0 * shares, words, name, 95.0)
@@ -51,36 +56,96 @@ def page(summary: Summary) -> str:
             counts=summary.counts(),
             meaning=RESULTS[study.accuracy][0],
             settings=[f"{key} = {value}" for key, value in study.settings.items()],
+            front_caption=_caption(study, found),
             **summary.tables(),
             **plots,
         )
     )
 
 
-def _error(study: Study) -> str:
-    return f"{study.accuracy[:-3]} error, mm"
+def _error(study: Study, found: Answers) -> str:
+    name = study.accuracy[:-3].removeprefix("true_")
+    return f"{'true ' if found.by_truth else ''}{name} error, mm"
+
+
+def _caption(study: Study, found: Answers) -> str:
+    filled = "Filled: no other design is as good in everything and better in something."
+    words = [filled, "Numbers: points of the table. Bars: 95 % interval of the mean over machines."]
+    if not all(each.whole for each in found.designs):
+        words.append("Crosses: not done on every machine, so not compared.")
+    if study.question is not None:
+        words.append("Dashed: the limit of the question.")
+    return " ".join(words)
 
 
 def _front(study: Study, found: Answers) -> str:
-    """Draw accuracy over minutes of all designs, the front as steps."""
-    figure, axes = axes_grid(3.6)
-    ax: Axes = axes[0, 0]
-    if len(found.front) > 1 and not study.has_costs:
-        places = ((each.minutes, each.accuracy.mean) for each in found.front)
-        ax.step(*zip(*places, strict=True), where="post", color=BLUE)
-    for on_front, colour, face in ((False, MUTED, "white"), (True, BLUE, BLUE)):
-        own = [each for each in found.designs if each.on_front is on_front]
-        minutes = [each.minutes for each in own]
-        lows_mm, highs_mm = np.array([each.accuracy.ends for each in own]).reshape(-1, 2).T
-        ax.vlines(minutes, lows_mm, highs_mm, color=colour, linewidth=0.8)
-        ax.plot(minutes, [each.accuracy.mean for each in own], "o", color=colour, markersize=4.0,
-                markerfacecolor=face)  # fmt: skip
-    for each in found.front if len(found.front) <= 20 else ():
-        ax.annotate(str(each.point.number), (each.minutes, each.accuracy.mean), (4.0, 4.0),
-                    textcoords="offset points", color=BLUE, weight="bold")  # fmt: skip
-    ax.set_ylim(bottom=0.0)
-    ax.set(xlabel="minutes of a calibration", ylabel=_error(study))
+    """Draw accuracy over minutes, and over money where there is some, of all designs."""
+    across: list[tuple[str, Callable[[Design], float]]] = [
+        ("minutes of a calibration", lambda each: each.minutes)
+    ]
+    if study.has_costs:
+        across.append((study.money, lambda each: each.point.cost))
+    figure, axes = axes_grid(3.6, columns=len(across), sharey=True)
+    groups = (
+        ([each for each in found.designs if not each.whole], MUTED, "x"),
+        ([each for each in found.designs if each.whole and not each.on_front], MUTED, "o"),
+        (found.front, BLUE, "o"),
+    )
+    for (name, of), ax in zip(across, axes[0], strict=True):
+        if len(found.front) > 1 and not study.has_costs:
+            places = ((of(each), each.deciding.mean) for each in found.front)
+            ax.step(*zip(*places, strict=True), where="post", color=BLUE)
+        for own, colour, marker in groups:
+            values = [of(each) for each in own]
+            ends_mm = np.array([each.deciding.ends for each in own]).reshape(-1, 2)
+            face = BLUE if colour == BLUE else "white"
+            means_mm = [each.deciding.mean for each in own]
+            ax.vlines(values, *ends_mm.T, color=colour, linewidth=0.8)
+            ax.plot(values, means_mm, marker, color=colour, markersize=4.0, markerfacecolor=face)
+        if study.question is not None:
+            ax.axhline(study.question.limit_mm, color=INK, linewidth=0.9, linestyle=(0, (4, 2)))
+        ax.set_xlabel(name)
+        ax.margins(x=0.08)
+    axes[0, 0].set_ylim(bottom=0.0)
+    axes[0, 0].set_ylabel(_error(study, found))
+    if 0 < len(found.front) <= 20:
+        for (_, of), ax in zip(across, axes[0], strict=True):
+            _label(ax, found.front, of)
     return svg_of(figure, "front")
+
+
+def _label(ax: Axes, front: Sequence[Design], of: Callable[[Design], float]) -> None:
+    """Write the numbers of points where they overprint no dot and no other number.
+
+    Dots that touch have one label together.
+    """
+    height_pt, digit_pt, dot_pt = 9.0, 5.2, 3.0
+    places = ax.transData.transform([(of(each), each.deciding.mean) for each in front])
+    places *= 72.0 / ax.figure.dpi
+    near = np.abs(places[:, None] - places).max(axis=2) < height_pt
+    count, group = connected_components(near, directed=False)
+    taken = [(x - dot_pt, y - dot_pt, x + dot_pt, y + dot_pt) for x, y in places.tolist()]
+    right_pt = float(ax.bbox.x1) * 72.0 / ax.figure.dpi
+    for n in range(count):
+        own = np.flatnonzero(group == n).tolist()
+        words = ", ".join(str(front[each].point.number) for each in own)
+        top = max(own, key=lambda each: places[each, 1])
+        (x, y), width_pt = places[top].tolist(), digit_pt * len(words)
+        rights = [4.0, -4.0 - width_pt] if x + 4.0 + width_pt <= right_pt else [-4.0 - width_pt]
+        for up, right in product(np.arange(4.0, 160.0, 3.0).tolist(), rights):
+            box = (x + right, y + up, x + right + width_pt, y + up + height_pt)
+            if not any(_overlap(box, other) for other in taken):
+                break
+        taken.append(box)
+        ax.annotate(words, (of(front[top]), front[top].deciding.mean), (right, up),
+                    textcoords="offset points", color=BLUE, weight="bold",
+                    bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 0.4},
+                    )  # fmt: skip
+
+
+def _overlap(one: Sequence[float], two: Sequence[float]) -> bool:
+    """Whether two boxes (left, bottom, right, top) overlap."""
+    return one[0] < two[2] and two[0] < one[2] and one[1] < two[3] and two[1] < one[3]
 
 
 def _levels(

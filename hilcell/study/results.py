@@ -27,7 +27,7 @@ from hilcell.journal.journal import StorageError
 from hilcell.run.cell_lock import CellLocked, locked
 from hilcell.study.case import DONE, STATES, CaseResult, Row, versions
 from hilcell.study.design import Case, chosen
-from hilcell.study.study_file import Study
+from hilcell.study.study_file import BOUND, Study
 
 QUESTION = "study.json"
 CASES = "cases"
@@ -293,7 +293,8 @@ def schema(study: Study) -> pa.Schema:
 
 def figure_names(study: Study) -> list[str]:
     """Return the stored figures: those of the study file, and those that a report needs."""
-    return list(dict.fromkeys([*study.results, study.accuracy, "covered", "targets"]))
+    needed = [study.accuracy, *filter(None, [study.truth]), BOUND, "covered", "targets"]
+    return list(dict.fromkeys([*study.results, *needed]))
 
 
 def case_row(case: Case, result: CaseResult, study: Study) -> Row:

@@ -51,6 +51,7 @@ def _quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
+BOUND = "bound95_mm"  # of a target, as the certificate states it
 MACHINE = ("simulation.machine", "simulation.sizes")
 Many = Annotated[int, Meta(ge=1, le=10_000)]
 
@@ -72,6 +73,14 @@ class Optimum(Frozen, frozen=True, kw_only=True):
             raise ValueError("expected most_minutes, mm_per_minute or both")
 
 
+class Question(Frozen, frozen=True, kw_only=True):
+    """A buyer's question: is a share of all machines within the limit, at this confidence?"""
+
+    limit_mm: Annotated[float, Meta(gt=0, le=1000)]
+    share: Annotated[float, Meta(ge=0.5, le=0.999)] = 0.95
+    confidence: Annotated[float, Meta(ge=0.5, le=0.999)] = 0.95
+
+
 class Study(Frozen, frozen=True, kw_only=True):
     """A whole study. ``settings`` are those of the base cell that differ from its file."""
 
@@ -84,6 +93,7 @@ class Study(Frozen, frozen=True, kw_only=True):
     machines: Many = 4
     seeds: Many = 1
     accuracy: str = "mean_mm"
+    question: Question | None = None
     results: list[str] = field(default_factory=lambda: list(RESULTS))
     money: str = "EUR"
     factor: list[Factor]
@@ -119,6 +129,12 @@ class Study(Frozen, frozen=True, kw_only=True):
         if self.samples is None or any(each.is_range and not each.is_whole for each in self.factor):
             return self.samples
         return min(self.samples, math.prod(len(each.steps) for each in self.factor))
+
+    @property
+    def truth(self) -> str | None:
+        """The simulator's own figure of the accuracy, where it has one."""
+        name = f"true_{self.accuracy.removeprefix('true_')}"
+        return name if name in RESULTS else None
 
     @property
     def has_costs(self) -> bool:

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
-import re
 from collections import Counter
+from collections.abc import Callable, Sequence
 from functools import partial
 from operator import attrgetter, itemgetter
+from typing import TypeVar
 
 from hilcell.present.table import Column, Table
-from hilcell.study.analysis import NONE, Design, Effect, Rows, answers, whole
+from hilcell.study.analysis import Design, Effect, Interaction, Rows, answers, brief, kind, whole
 from hilcell.study.case import CANNOT_BE, DONE, FAILED, RESULTS
 from hilcell.study.design import Case
+from hilcell.study.inference import NONE, SHOWN, Within
 from hilcell.study.study_file import Optimum, Study
+
+T = TypeVar("T")
 
 
 def point_columns(study: Study) -> list[Column[Design | Case]]:
@@ -39,19 +43,39 @@ class Summary:
         """Return all tables by their names in the page; some may be empty."""
         return {
             "best": self._best(),
+            "question": self.question(),
             "front": self.front(),
+            "certificates": self.certificates(),
             "purchases": self.purchases(),
+            "interactions": self.interactions(),
             "effects": self.effects(),
             "reasons": self._reasons(),
         }
 
-    def _design_columns(self) -> list[Column[Design]]:
-        """Return the columns of a design: point and factors, minutes, accuracy."""
-        return [
-            *point_columns(self.study),
+    def _design_columns(self, errors: int = 2) -> list[Column[Design]]:
+        """Return the columns of a design: point and factors, minutes, money, so many errors."""
+        study = self.study
+        columns: list[Column[Design]] = [
+            *point_columns(study),
             Column("minutes", attrgetter("minutes"), form=".0f"),
-            Column(self.study.accuracy[:-3], lambda row: row.accuracy.text(), "mm", "s"),
         ]
+        if study.has_costs:
+            columns.append(Column(study.money, attrgetter("point.cost"), form="g"))
+        return [*columns, *self._errors()[:errors]]
+
+    def _errors(self) -> list[Column[Design]]:
+        """Return the columns of the accuracy: the truth where it is known, then as measured."""
+        return self._accuracies(lambda row: row.accuracy.text(), lambda row: row.truth.text())
+
+    def _accuracies(
+        self, measured: Callable[[T], str], true: Callable[[T], str], of: str = ""
+    ) -> list[Column[T]]:
+        """Return a column of the accuracy, or two where the truth is known beside it."""
+        name = of or self.study.accuracy[:-3].removeprefix("true_")
+        both = [Column(f"true {name}", true, "mm", "s")] if self.found.by_truth else []
+        if self.study.accuracy != self.study.truth or not both:
+            both.append(Column(f"measured {name}" if both else name, measured, "mm", "s"))
+        return both
 
     def _best(self) -> Table:
         """Return the best design that an optimiser has found, and the one it was begun with."""
@@ -71,31 +95,91 @@ class Summary:
         )
         return Table(self._design_columns(), tried, "Best design found", note)
 
+    def question(self) -> Table:
+        """Return the answers to the buyer's question: of the front, and of all that say yes."""
+        asked = self.study.question
+        if asked is None:
+            return Table((), ())
+        listed = [
+            each
+            for each in self.found.designs
+            if each.within and (each.on_front or each.within.answer == "yes")
+        ]
+        columns: list[Column[Design]] = [
+            *self._design_columns(1),
+            Column("within", lambda row: _within(row.within), form="s"),
+            Column("share at least", lambda row: 100.0 * _low(row.within), "%", ".1f"),
+            Column("answer", lambda row: row.within.text() if row.within else None),
+            Column("if normal", lambda row: _tolerance(row.within), "mm", "s"),
+        ]
+        if self.found.by_truth:
+            columns.append(
+                Column("within as measured", lambda row: _within(row.measured_within), form="s")
+            )
+        title = (
+            f"Question: are {100.0 * asked.share:g} % of machines within {asked.limit_mm:g} mm, "
+            f"{100.0 * asked.confidence:g} % sure?"
+        )
+        note = (
+            "Within: machines of those that were tried; one that failed is not. The share is exact "
+            "for any distribution (Clopper and Pearson), of each design by itself: the best of "
+            "many was lucky as well, so measure it in a study of its own. If normal: the limit "
+            "that the share would keep (one-sided tolerance limit)."
+        )
+        return Table(columns, sorted(listed, key=attrgetter("minutes")), title, note)
+
     def front(self) -> Table:
         """Return the designs that no other beats in everything, the fastest first."""
         study, found = self.study, self.found
-        of_all = study.machines * study.seeds
-        columns = self._design_columns()
-        if study.has_costs:
-            columns.insert(-1, Column(study.money, lambda row: row.point.cost, form="g"))
-        columns.append(Column("covered", lambda row: row.covered.text(), "%", "s"))
-        if any(each.cases < of_all for each in found.front):
-            columns.append(Column("done", lambda row: f"{row.cases} of {of_all}", form="s"))
+        columns = self._design_columns(1)  # certificates say what is measured
+        if not found.by_truth:
+            columns.append(Column("covered", lambda row: row.covered.text(), "%", "s"))
+        columns.append(Column("one machine", lambda row: row.one.text(), "mm", "s"))
+        if any(each.equal_to for each in found.front):
+            columns.append(Column("no better than", attrgetter("equal_to")))
+        able = len(whole(study, found.designs))
+        without = len(found.designs) - able
         against = "accuracy, minutes and money" if study.has_costs else "accuracy and minutes"
-        note = (
-            f"Of {len(found.designs)} designs these are beaten by no other in {against}."
-            if len(found.designs) > 1
-            else "No other design has a result."
-        ) + f" {RESULTS[study.accuracy][0].capitalize()}."
+        note = f"Of {able} designs these are beaten by no other in {against}. " if able > 1 else ""
+        if without:
+            note += f"Not done on every machine, so not compared: {without} designs. "
+        if not able:
+            note = "No design was done on every machine with every set of targets. "
+        if any(each.equal_to for each in found.front):
+            note += (
+                "No better than: a quicker or cheaper design, which it is not shown to beat: its "
+                f"machines' differences are judged at {100.0 * SHOWN:g} %, as one of all designs. "
+            )
+        note += f"{RESULTS[study.accuracy][0].capitalize()}, with the 95 % interval of the mean."
+        note += " One machine: where a machine more lies, 95 % sure, if machines are normal."
         return Table(columns, found.front, "Pareto front", note + self._one_machine())
+
+    def certificates(self) -> Table:
+        """Return what the customer's certificates say of the front, beside the truth."""
+        if not self.found.by_truth:
+            return Table((), ())
+        columns = [
+            point_columns(self.study)[0],
+            *self._errors(),
+            Column[Design]("95 % bound of a target", attrgetter("bound_mm"), "mm", ".3f"),
+            Column[Design]("covered", lambda row: row.covered.text(), "%", "s"),
+        ]
+        note = (
+            "A certificate has the measured figure, with the errors of its instrument, and the "
+            "bound; covered: targets that were measured within theirs."
+        )
+        return Table(columns, self.found.front, "What certificates say", note)
 
     def purchases(self) -> Table:
         """Return what each step from a first level gains, the largest gain that is shown first."""
+        purchases = self.found.purchases
         columns: list[Column[Effect]] = [
             Column("factor", attrgetter("factor.title")),
             Column("from", attrgetter("start")),
             Column("to", attrgetter("word")),
-            Column("gain", lambda row: row.change.text(-1.0), "mm", "s"),
+            *self._accuracies(
+                lambda row: row.change.text(-1.0), lambda row: row.true_change.text(-1.0), "gain"
+            ),
             Column("shown", attrgetter("shown"), form="s"),
             Column("more minutes", lambda row: _signed(row.minutes), form="s"),
         ]
@@ -103,12 +187,39 @@ class Summary:
             columns.append(
                 Column(f"more {self.study.money}", lambda row: _signed(row.cost), form="s")
             )
+        if any(each.depends_on for each in purchases):
+            columns.append(Column("depends on", lambda row: ", ".join(row.depends_on)))
+        ended = [each for each in purchases if each.ended.kinds or each.start_ended.kinds]
+        if ended:
+            columns.append(Column("without a result", _ended, form="s"))
+        steps = len(purchases)
         note = (
-            "Gain: by how much the error falls when this factor alone changes, all else averaged."
+            "Gain: by how much the error falls when this factor alone changes, all else averaged. "
+            f"Shown: at {100.0 * SHOWN:g} % for all {steps} steps together (Holm); fails: on more "
+            "machines, all else averaged."
         )
         if any(each.word != each.start and not each.is_step for each in self.found.effects):
             note += " Steps that the cases cannot separate are left out; main effects say why."
-        return Table(columns, self.found.purchases, "Buy next", note + self._one_machine())
+        return Table(columns, purchases, "Buy next", note + self._one_machine() + _kinds(ended))
+
+    def interactions(self) -> Table:
+        """Return what steps depend on, the clearest first."""
+        found = sorted(self.found.interactions, key=lambda each: (each.p, -each.size_mm))
+        columns: list[Column[Interaction]] = [
+            Column("factor", attrgetter("factor.title")),
+            Column("from", attrgetter("start")),
+            Column("to", attrgetter("word")),
+            Column("beside", attrgetter("other.title")),
+            Column("gain at", lambda row: f"{row.first}: {row.at_first.text(-1.0)}", "mm"),
+            Column("and at", lambda row: f"{row.second}: {row.at_second.text(-1.0)}", "mm"),
+            Column("differ by", lambda row: row.difference.text(-1.0), "mm", "s"),
+            Column("shown", lambda row: "yes" if row.known else "no", form="s"),
+        ]
+        note = (
+            f"The clearest of {len(found)} that were tested; shown at {100.0 * SHOWN:g} % for all "
+            "together (Holm). Where one is shown, the gain of Buy next is an average only."
+        )
+        return Table(columns, found[:10], "Interactions", note)
 
     def effects(self) -> Table:
         """Return the accuracy at each level of each factor, all else averaged."""
@@ -116,12 +227,11 @@ class Summary:
         columns: list[Column[Effect]] = [
             Column("factor", attrgetter("factor.title")),
             Column("level", attrgetter("word")),
-            Column(self.study.accuracy[:-3], lambda row: row.mean.text(), "mm", "s"),
-            Column(
+            *self._accuracies(lambda row: row.mean.text(), lambda row: row.true_mean.text()),
+            *self._accuracies(
+                lambda row: row.change.text() if row.word != row.start else "",
+                lambda row: row.true_change.text() if row.word != row.start else "",
                 "change",
-                lambda row: row.change.text() if row.word != row.start else None,
-                "mm",
-                "s",
             ),
             Column("minutes", lambda row: _signed(row.minutes), form="s"),
             Column("covered", lambda row: row.covered.text(), "%", "s"),
@@ -139,14 +249,15 @@ class Summary:
         counts = f"(designs: {len(found.designs)}, unknowns: {found.unknowns})"
         if math.isnan(found.share):
             return f"Whether effects add up is not checked, as there are too few designs {counts}. "
-        share = f"{100.0 * found.share:.0f} % of the differences between designs"
-        return f"Main effects alone explain {share} {counts}. "
+        share = f"{100.0 * found.share:.1f} % of the differences between designs"
+        apart = f"a design is up to {found.apart_mm:.4f} mm from their sum"
+        return f"Main effects alone explain {share} {counts}; {apart}. "
 
     def _reasons(self) -> Table:
         """Return why cases were not done, the most frequent reason first."""
-        bad = [(row.state, _brief(row.reason)) for row in self.rows if row.state != DONE]
-        counts = Counter((state, _kind(reason)) for state, reason in bad)
-        first = {(state, _kind(reason)): reason for state, reason in reversed(bad)}
+        bad = [(row.state, row.reason) for row in self.rows if row.state != DONE]
+        counts = Counter((state, kind(reason)) for state, reason in bad)
+        first = {(state, kind(reason)): brief(reason) for state, reason in reversed(bad)}
         most = 10
         more = len(counts) - most
         note = f"And {more} more reasons." if more > 0 else ""
@@ -198,25 +309,44 @@ class Summary:
             "counts": dict(found.counts),
             "best": None if found.best is None else found.best.facts(),
             "front": [each.facts() for each in found.front],
+            "decided_by": study.truth if found.by_truth else study.accuracy,
             "designs": [each.facts() for each in found.designs],
             "effects": [each.facts() for each in found.effects],
             "buy_next": [each.facts() for each in found.purchases],
+            "interactions": [each.facts() for each in found.interactions],
             "covered": found.covered,
             "explained": found.share,
+            "apart_mm": found.apart_mm,
             "not_estimable": found.not_estimable,
         }
 
 
-def _brief(reason: str) -> str:
-    """Return the first cause of a refusal, without its list of poses and what to do about it."""
-    lines = reason.splitlines()
-    first = lines[1] if len(lines) > 1 else reason
-    return first.partition(": pose ")[0].partition("; ")[0].strip()
+def _within(judged: Within | None) -> str:
+    return f"{judged.within} of {judged.machines}" if judged else NONE
 
 
-def _kind(reason: str) -> str:
-    """Return a reason without its figures: cases of one kind are counted together."""
-    return re.sub(r"\d+", "0", reason).replace("-0", "0").replace("+0", "0")
+def _low(judged: Within | None) -> float:
+    return judged.share_low if judged else math.nan
+
+
+def _tolerance(judged: Within | None) -> str:
+    known = judged is not None and math.isfinite(judged.tolerance_mm)
+    return f"{judged.tolerance_mm:.3f}" if judged and known else NONE
+
+
+def _ended(row: Effect) -> str:
+    """Return how many cases of a step's two levels have no result."""
+    return " → ".join(f"{each.without} of {each.cases}" for each in (row.start_ended, row.ended))
+
+
+def _kinds(steps: Sequence[Effect]) -> str:
+    """Return, a line a level, why cases of steps that fail have no result."""
+    levels = {(row.factor.title, row.word): row.ended for row in steps if row.fails}
+    return "".join(
+        f"\n{title} {word}: {count} x {reason}"
+        for (title, word), ended in levels.items()
+        for reason, count in list(ended.kinds.items())[:3]
+    )
 
 
 def _signed(value: float) -> str:

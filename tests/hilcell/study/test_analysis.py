@@ -15,10 +15,12 @@ from scipy.stats import t as student
 
 from hilcell.decoding import Json, typed
 from hilcell.ports import Array
-from hilcell.study.analysis import Additive, Answers, Interval, Share, answers, on_front
+from hilcell.study.additive import Additive
+from hilcell.study.analysis import Answers, answers, front_of
 from hilcell.study.case import CaseResult, Row
 from hilcell.study.design import Case, Point, cases, choices_at, points
 from hilcell.study.html import page
+from hilcell.study.inference import Interval, Share
 from hilcell.study.results import case_row
 from hilcell.study.study_file import Study
 from hilcell.study.tables import Summary
@@ -176,7 +178,7 @@ def test_cases_that_cannot_be_are_no_zeros(tmp_path: Path) -> None:
 )
 def test_the_front(place: tuple[float, ...], best: bool) -> None:
     others = [(1.0, 5.0, 0.0), (2.0, 4.0, 0.0)]
-    assert on_front(np.array(place), np.array([place, *others])) is best
+    assert (0 in front_of(np.array([place, *others]))) is best
 
 
 def test_the_front_in_the_table(tmp_path: Path) -> None:
