@@ -111,6 +111,7 @@ PLANT: Commands = {
     "show": (signatures.PlantShow, "plant:show"),
     "assign": (signatures.PlantAssign, "plant:assign"),
     "held": (signatures.PlantHeld, "plant:held"),
+    "archive": (signatures.PlantArchive, "plant:archive"),
     "export": (signatures.PlantExport, "plant:export"),
     "verify": (signatures.PlantVerify, "plant:verify"),
 }

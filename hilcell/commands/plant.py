@@ -6,7 +6,7 @@ import getpass
 import importlib.util
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Self
 
 import msgspec
 
+from hilcell.atomic_files import write_whole
 from hilcell.cell.settings import did_you_mean
 from hilcell.commands.console import (
     print_answer,
@@ -24,6 +25,7 @@ from hilcell.commands.console import (
     print_table,
 )
 from hilcell.commands.signatures import (
+    PlantArchive,
     PlantAssign,
     PlantExport,
     PlantHeld,
@@ -114,16 +116,54 @@ def _names(names: Sequence[str]) -> str:
 
 
 def show(args: PlantShow) -> int:
+    """Print what the records say; with --check, exit code 1 for a cell without a valid one."""
     with closing(_open_database(args.plant)) as database:
         database.check()
         with database.transaction() as connection:
             overview = Overview.queried(connection, args)
+    if args.metrics is not None:
+        write_whole(args.metrics, _metrics(overview.cells).encode())
+    overdue = args.check and any(each.condition != "valid" for each in overview.cells)
     if args.json:
         print_json(msgspec.to_builtins(overview))
-        return EXIT_OK
-    if not overview.cells:
+    elif overview.cells:
+        _print_overview(overview)
+    else:
         print_message(f"plant database {database.name}: no runs were shipped yet")
-        return EXIT_OK
+    return EXIT_OUT_OF_TOLERANCE if overdue else EXIT_OK
+
+
+def _metrics(cells: Sequence[CellState]) -> str:
+    """Return the states of cells as a text file of Prometheus, as node_exporter reads it."""
+    lines: list[str] = []
+    for name, text, value in METRICS:
+        metric = f"hilcell_plant_{name}"
+        lines += [f"# HELP {metric} {text}", f"# TYPE {metric} gauge"]
+        for each in cells:
+            found = value(each)
+            if found is not None:
+                names = {"cell": each.cell, "serial": each.serial, "machine": each.machine}
+                labels = ",".join(f'{key}="{_label(word)}"' for key, word in names.items())
+                lines.append(f"{metric}{{{labels}}} {found!r}")
+    return "\n".join([*lines, ""])
+
+
+def _label(text: str) -> str:
+    escapes = str.maketrans({"\\": "\\\\", '"': '\\"'})
+    return harmless(text).translate(escapes)
+
+
+METRICS: tuple[tuple[str, str, Callable[[CellState], float | None]], ...] = (
+    ("calibration_valid", "1 if the cell has a valid calibration, else 0.",
+        lambda each: float(each.condition == "valid")),
+    ("calibration_days_left", "Days until the current calibration is too old.",
+        attrgetter("days_left")),
+    ("last_shipped_timestamp_seconds", "When the newest run of the cell arrived, by the server.",
+        lambda each: each.last_shipped.timestamp()),
+)  # fmt: skip
+
+
+def _print_overview(overview: Overview) -> None:
     robots = overview.robots
     print_table(Table(CELLS, overview.cells))
     print_table(Table(DRIFTS, [(each, drift) for each in robots for drift in each.drift]))
@@ -137,7 +177,6 @@ def show(args: PlantShow) -> int:
     print_table(Table(ALARMS, overview.alarms))
     for doubt in overview.doubts:
         print_data(harmless_lines(f"note: {doubt}"))
-    return EXIT_OK
 
 
 def _require_packages(*names: str) -> None:
@@ -345,11 +384,32 @@ HELD: tuple[Column[HeldRun], ...] = (
 )
 
 
-# -- export and verify ----------------------------------------------------------------------------
+# -- archive, export and verify --------------------------------------------------------------------
+
+
+def archive(args: PlantArchive) -> int:
+    """Move the points of old runs to files; exit code 7 if a run was refused."""
+    _require_packages("pyarrow")
+    with closing(_open_database(args.plant)) as database:
+        from hilcell.plant.archive import archive as archive_points
+
+        database.check()
+        moved = archive_points(database, args.before, args.out)
+    for reason in moved.refused.values():
+        print_message(f"hilcell: {reason}")
+    print_answer(
+        {"plant": database.name, "runs": moved.runs, "points": moved.points,
+         "bytes": moved.size_bytes, "out": harmless(str(args.out)),
+         "refused": {encodable(run): encodable(why) for run, why in moved.refused.items()}},
+        f"{counted(moved.points, 'point')} of {counted(moved.runs, 'run')} moved to "
+        f"{harmless(str(args.out))}, {len(moved.refused)} refused",
+        as_json=args.json,
+    )  # fmt: skip
+    return EXIT_STORAGE if moved.refused else EXIT_OK
 
 
 def export(args: PlantExport) -> int:
-    _require_packages("cryptography")
+    _require_packages("cryptography", *(["pyarrow"] if args.archive else []))
     from hilcell.plant.audit import read_private_key
     from hilcell.plant.export import export as export_cell
 
@@ -357,7 +417,7 @@ def export(args: PlantExport) -> int:
     with closing(_open_database(args.plant)) as database:
         database.check()
         with database.transaction() as connection:
-            found = export_cell(connection, args.cell, args.serial, args.out, key)
+            found = export_cell(connection, args.cell, args.serial, args.out, key, args.archive)
     simulated = f", {found.simulated_runs} of them simulated" if found.simulated_runs else ""
     print_answer(
         {"cell": found.cell, "serials": found.serials, "runs": found.runs,

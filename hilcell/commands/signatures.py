@@ -418,6 +418,22 @@ class PlantShow(Signature):
     max_age: float = option(
         "validity of a calibration (default: 180)", "DAYS", parse_days, default=180.0
     )
+    check: bool = option("exit code 1 if a cell has no valid calibration", default=False)
+    metrics: Path | None = option(
+        "also write days left and last shipment of each cell, for Prometheus",
+        "FILE.prom",
+        Path,
+        default=None,
+    )
+    json: bool = JSON
+
+
+class PlantArchive(Signature):
+    """Move the points of old runs to files; verdicts and all else stay in the database."""
+
+    plant: str | None = FROM_PLANT
+    before: datetime = option("only runs that ended before then", "DATE", parse_time)
+    out: Path = option("folder of the files", "FOLDER", Path, flags=("-o",))
     json: bool = JSON
 
 
@@ -448,6 +464,12 @@ class PlantExport(Signature):
     serial: str | None = option("serial number of the cell", "SERIAL", default=None)
     out: Path = option("new folder or archive", "FOLDER|FILE.zip", Path, flags=("-o",))
     key: Path = option("private key: Ed25519, PEM", "KEYFILE", Path)
+    archive: Path | None = option(
+        "folder of `hilcell plant archive`, with the points of old runs",
+        "FOLDER",
+        Path,
+        default=None,
+    )
     json: bool = JSON
 
 

@@ -10,12 +10,13 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from functools import cached_property
 from itertools import pairwise
 from operator import attrgetter
 from uuid import UUID
 
 import msgspec
-from sqlalchemy import CTE, ColumnElement, Connection, Text, and_, cast, func, or_, select
+from sqlalchemy import CTE, ColumnElement, Connection, Subquery, Text, and_, cast, func, or_, select
 
 from hilcell.calibration.validity import CLOCK_ERROR, MAX_AGE_DAYS
 from hilcell.decoding import decoded
@@ -41,11 +42,32 @@ class CellState(msgspec.Struct, frozen=True, kw_only=True):
     last_run: str
     last_state: str
     last_ended: datetime
+    last_shipped: datetime
     condition: str
     calibration: str = ""
     calibrated: datetime | None = None
     valid_until: datetime | None = None
     days_left: float | None = None
+
+
+def uses() -> Subquery:
+    """Return the query of which devices were used in which cell: number of runs, first begin and
+    last end, with the names and the digest of one of these runs.
+    """
+    keys = (RUN.c.cell_key, RUN.c.devices)
+    times = (func.min(RUN.c.begun).label("begun"), func.max(RUN.c.ended).label("ended"))
+    counted = select(*keys, func.count().label("runs"), *times).where(RUN.c.newest)
+    each = counted.group_by(*keys).subquery("each")
+    other = RUN.alias("other")
+    one = select(other.c.digest).where(
+        other.c.newest, other.c.cell_key == each.c.cell_key, other.c.devices == each.c.devices
+    )
+    names = (RUN.c.digest, *CELL, RUN.c.robot)
+    return (
+        select(*names, each.c.runs, each.c.begun, each.c.ended)
+        .join_from(each, RUN, RUN.c.digest == one.limit(1).correlate(each).scalar_subquery())
+        .subquery("uses")
+    )
 
 
 def selected(cell: str, robot: str) -> list[ColumnElement[bool]]:
@@ -73,7 +95,12 @@ def cells(
         .correlate(every)
         .scalar_subquery()
     )
-    query = select(*CELL, RUN.c.name, RUN.c.state, RUN.c.ended)
+    other = RUN.alias("other")
+    shipped = select(func.max(other.c.shipped)).where(other.c.cell_key == RUN.c.cell_key)
+    query = select(
+        *CELL, RUN.c.name, RUN.c.state, RUN.c.ended,
+        shipped.correlate(RUN).scalar_subquery().label("last_shipped"),
+    )  # fmt: skip
     lasts = connection.execute(query.join_from(every, RUN, RUN.c.digest == last)).all()
     known = {(row.cell, row.serial, row.machine) for row in lasts}
     held = query.where(RUN.c.held).order_by(RUN.c.ended)
@@ -180,6 +207,7 @@ def _state(last: Row, since: list[RunRow], now: datetime, max_age_days: float) -
     state = CellState(
         cell=last.cell, serial=last.serial, machine=last.machine,
         last_run=last.name, last_state=last.state, last_ended=last.ended,
+        last_shipped=last.last_shipped,
         condition=ended_here[-1].text if ended_here else "no calibration that holds",
     )  # fmt: skip
     current = next((each for each, status in known.items() if status.current == each), "")
@@ -218,30 +246,39 @@ class _Inconsistencies:
     connection: Connection
 
     def serials(self) -> Iterator[Doubt]:
-        query = select(RUN.c.serial, RUN.c.cell).where(RUN.c.newest, RUN.c.serial != "").distinct()
-        by_serial = grouped(self.connection, query.order_by(RUN.c.serial, RUN.c.cell), "serial")
-        for (serial,), rows in by_serial.items():
-            names = [row.cell for row in rows]
-            cells = ", ".join(map(clean, names))
-            if len(names) > 1:
+        cells_of: defaultdict[str, set[str]] = defaultdict(set)
+        for use in self.used:
+            cells_of[use.serial].add(use.cell)
+        for serial, names in sorted(cells_of.items()):
+            if serial and len(names) > 1:
+                cells = ", ".join(map(clean, sorted(names)))
                 own = "give each cell its own in its cell file"
-                yield names, f"cells {cells} have the same serial number {clean(serial)}: {own}"
+                yield (
+                    sorted(names),
+                    f"cells {cells} have the same serial number {clean(serial)}: {own}",
+                )
 
     def robots(self) -> Iterator[Doubt]:
-        place = (RUN.c.robot, RUN.c.cell, RUN.c.serial)
-        first = func.min(RUN.c.begun)
-        query = select(*place, first.label("first"), func.max(RUN.c.ended).label("last"))
-        query = query.where(RUN.c.newest, RUN.c.robot != "").group_by(*place)
-        query = query.order_by(RUN.c.robot, first, RUN.c.cell)
-        for (robot,), spans in grouped(self.connection, query, "robot").items():
-            if any(later.first < earlier.last for earlier, later in pairwise(spans)):
-                names = sorted({span.cell for span in spans})
+        spans: defaultdict[str, dict[tuple[str, str], tuple[datetime, datetime]]]
+        spans = defaultdict(dict)
+        for use in self.used:
+            place = (use.cell, use.serial)
+            first, last = spans[use.robot].get(place, (use.begun, use.ended))
+            spans[use.robot][place] = min(first, use.begun), max(last, use.ended)
+        for robot, of_robot in sorted(spans.items()):
+            times = sorted((*span, cell) for (cell, _), span in of_robot.items())
+            if robot and any(later[0] < earlier[1] for earlier, later in pairwise(times)):
+                names = sorted({cell for cell, _ in of_robot})
                 text = (
-                    f"robot {clean(robot)} worked alternately in {len(spans)} cells "
+                    f"robot {clean(robot)} worked alternately in {len(of_robot)} cells "
                     f"({', '.join(map(clean, names))}): two robots have one serial number, or it "
                     "was moved back and forth; its drift is evaluated in each cell separately"
                 )
                 yield names, text
+
+    @cached_property
+    def used(self) -> list[Row]:
+        return list(self.connection.execute(select(uses())))
 
     def namesakes(self) -> Iterator[Doubt]:
         columns = (RUN.c.cell, RUN.c.serial, RUN.c.name)

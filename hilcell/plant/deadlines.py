@@ -23,6 +23,7 @@ LOCK_S = 30.0
 ORDER_S = 120.0  # one statement
 MIGRATION_S = 4 * 3600.0  # one statement of a migration
 REST_S = 600.0  # idle time of this side within a transaction, before the server frees its locks
+SORTED = "64MB"  # the grids of 200 robots in five years are 40 MB
 SLACK_S = 15.0  # the server's own deadline expires first
 ANSWER_S = 60  # a second connection
 
@@ -106,5 +107,7 @@ def limit(connection: Connection, order_s: float) -> None:
         "lock_timeout": LOCK_S,
         "idle_in_transaction_session_timeout": REST_S,
     }
-    sets = (f"set_config('{name}', '{at * 1000:.0f}', true)" for name, at in limits_s.items())
+    limits = {name: f"{at * 1000:.0f}" for name, at in limits_s.items()}  # ms
+    limits["work_mem"] = SORTED
+    sets = (f"set_config('{name}', '{at}', true)" for name, at in limits.items())
     connection.execute(sql(f"SELECT {', '.join(sets)}"))

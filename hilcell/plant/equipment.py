@@ -17,14 +17,13 @@ order of the runs and so prefers no trend or step.
 from __future__ import annotations
 
 import math
-from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import combinations, groupby
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from statistics import NormalDist
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from uuid import UUID
 
 import msgspec
@@ -34,7 +33,6 @@ from sqlalchemy import (
     Connection,
     Double,
     LargeBinary,
-    Text,
     and_,
     cast,
     extract,
@@ -49,13 +47,12 @@ from hilcell.identity import Identity
 from hilcell.journal.index import RunRow
 from hilcell.journal.log import changed_asset_kinds
 from hilcell.model.verdicts import OTHERS, VALIDATION
-from hilcell.plant.cells import CELL, UNREADABLE, Doubt, left_out, selected
+from hilcell.plant.cells import CELL, UNREADABLE, Doubt, left_out, selected, uses
 from hilcell.plant.record import TRACKER
 from hilcell.plant.tables import (
     ALARM,
     DEVICE,
     FARTHEST_MM,
-    FRAME,
     GRID,
     LENGTH,
     OUTCOME,
@@ -157,13 +154,16 @@ def discoveries(p_values: Array) -> BoolArray:
 
 def main_direction(vectors: Array) -> Array:
     """Return the first principal component (N,) of vectors (N, D), rising from first to last."""
+    from scipy.linalg import eigh
+
     centred = vectors - vectors.mean(axis=0)
     count, size = centred.shape
+    squares = centred.T @ centred if size <= count else centred @ centred.T
+    values, directions = eigh(squares, subset_by_index=[len(squares) - 1] * 2, driver="evr")
     if size <= count:
-        along: Array = centred @ np.linalg.eigh(centred.T @ centred)[1][:, -1]
+        along: Array = centred @ directions[:, 0]
     else:
-        squares, directions = np.linalg.eigh(centred @ centred.T)
-        along = directions[:, -1] * math.sqrt(max(float(squares[-1]), 0.0))
+        along = directions[:, 0] * math.sqrt(max(float(values[0]), 0.0))
     return along if along[-1] >= along[0] else -along
 
 
@@ -304,7 +304,6 @@ class _Calibration(NamedTuple):
     """A calibration of a robot, without its vectors."""
 
     digest: UUID
-    cell_key: UUID
     name: str
     ended: datetime
 
@@ -326,25 +325,23 @@ def robots(
     Add the runs left out to ``doubts``.
     """
     doubts = [] if doubts is None else doubts
-    base = FRAME.alias("base")
     place = (RUN.c.robot, *CELL)
     query = (
         select(
-            *place, RUN.c.digest, RUN.c.cell_key, RUN.c.name, RUN.c.ended, GRID.c.layout,
-            type_coerce(GRID.c.errors_mm, LargeBinary).label("errors"), GRID.c.temperature_c,
-            cast(base.c.matrix, Text).label("matrix"),
+            *place, RUN.c.digest, RUN.c.name, RUN.c.ended, GRID.c.layout, GRID.c.temperature_c,
+            *(type_coerce(GRID.c[name], LargeBinary) for name in ("errors_mm", "base_mm")),
         )
         .join(GRID, GRID.c.digest == RUN.c.digest)
-        .join(base, and_(base.c.digest == RUN.c.digest, base.c.key == "base"))
         .where(RUN.c.newest, RUN.c.robot != "", *selected(cell, robot))
-        .order_by(*place, RUN.c.ended)
+        .order_by(RUN.c.robot, RUN.c.cell_key, RUN.c.ended)
     )  # fmt: skip
-    rows = connection.execute(query, execution_options={"yield_per": 1000})  # 1 kB each and more
+    rows = connection.execute(query, execution_options={"yield_per": 1000})  # 2 kB each and more
     every = [
         found
-        for place, of_place in groupby(rows, attrgetter("robot", "cell", "serial", "machine"))
-        if (found := _robot(place, list(of_place), doubts)) is not None
+        for place, own in groupby(rows, itemgetter(0, 1, 2, 3))
+        if (found := _robot(place, list(own), doubts)) is not None
     ]
+    every.sort(key=attrgetter("place"))
     trends = iter(fit_trends([each for robot in every for each in robot.quantities.values()]))
     return [
         _Robots(connection, doubts).trend(each, {what: next(trends) for what in each.quantities})
@@ -360,44 +357,37 @@ def _robot(
         return None
     newest = rows[-1]
     alike = [
-        row for row in rows if row.layout == newest.layout and len(row.errors) == len(newest.errors)
+        row
+        for row in rows
+        if row.layout == newest.layout and len(row.errors_mm) == len(newest.errors_mm)
     ]
-    years = np.array([row.ended.timestamp() for row in alike]) / YEAR_S
-    air_c = [row.temperature_c for row in alike]
-    celsius = None if None in air_c else np.array(air_c, dtype=float)
     try:
-        errors_mm, frames = _measured(alike)
+        measured_mm = _measured(alike)
     except UNREADABLE:  # of one of them
         bad = [row for row in alike if not _is_readable(row, doubts)]
         return _robot(place, [row for row in rows if row not in bad], doubts)
-    origins_mm = frames[:, :3, 3]
-    arm_mm = 1000.0  # two points of {B}, this far along its x and y, show its rotation
-    points_mm = [origins_mm, *(origins_mm + arm_mm * frames[:, :3, axis] for axis in (0, 1))]
+    digests, names, ends, _, air_c, _, _ = zip(*(row[4:] for row in alike), strict=True)
+    years = np.array([each.timestamp() for each in ends]) / YEAR_S
+    celsius = np.array(air_c, dtype=float)  # None becomes NaN
+    known_c = celsius if np.isfinite(celsius).all() else None
     quantities = {}
-    for what, vectors in (
-        (ARM, errors_mm),
-        (BASE, np.concatenate(points_mm, axis=1)),
-    ):
-        along_mm = main_direction(vectors) / np.sqrt(vectors.shape[1] / 3)  # rms of its points
-        quantities[what] = Series(years, along_mm, celsius)
-    calibrations = [_Calibration(row.digest, row.cell_key, row.name, row.ended) for row in alike]
+    for what, vectors in zip((ARM, BASE), measured_mm, strict=True):
+        along_mm = main_direction(vectors) / math.sqrt(vectors.shape[1] / 3)  # rms of its points
+        quantities[what] = Series(years, along_mm, known_c)
+    calibrations = list(map(_Calibration, digests, names, ends))
     return _Robot(place, calibrations, len(rows) - len(alike), quantities)
 
 
 def _measured(rows: Sequence[Row]) -> tuple[Array, Array]:
-    """Return the errors (N, 3 M) in {B} and the bases (N, 4, 4) in {W} of calibrations, mm.
-
-    Raises one of `UNREADABLE`.
+    """Return the errors (N, 3 M) in {B} and the points of the bases (N, 9) in {W} of calibrations,
+    mm. Raises one of `UNREADABLE`.
     """
-    errors_mm = np.frombuffer(b"".join(row.errors for row in rows), dtype="<f8")
-    matrices = f"[{','.join(row.matrix for row in rows)}]"
-    frames: Array = np.array(decoded(matrices, list[list[list[float]]]))
-    if frames.shape != (len(rows), 4, 4):
-        raise ValueError(f"expected matrices of 4 x 4, got {frames.shape[1:]}")
-    for what, values in (("errors", errors_mm), ("base", frames)):
+    errors_mm = np.frombuffer(b"".join(row.errors_mm for row in rows), dtype="<f8")
+    bases_mm = np.frombuffer(b"".join(row.base_mm for row in rows), dtype="<f8")
+    for what, values in (("errors", errors_mm), ("base", bases_mm)):
         if not (np.abs(values) <= FARTHEST_MM).all():
             raise ValueError(f"expected numbers of at most {FARTHEST_MM:g} mm in its {what}")
-    return errors_mm.reshape(len(rows), -1), frames
+    return errors_mm.reshape(len(rows), -1), bases_mm.reshape(len(rows), 9)
 
 
 def _is_readable(row: Row, doubts: list[Doubt]) -> bool:
@@ -447,9 +437,11 @@ class _Robots:
         )  # fmt: skip
 
     def _messages(self, first: _Calibration, second: _Calibration) -> list[str]:
+        own = RUN.alias("own")
+        of_run = select(own.c.cell_key).where(own.c.digest == first.digest)
         aborted = and_(RUN.c.digest == first.digest, RUN.c.state != "finished")  # after its grid
         between = and_(
-            RUN.c.cell_key == first.cell_key,
+            RUN.c.cell_key == of_run.scalar_subquery(),
             RUN.c.ended >= first.ended,
             or_(RUN.c.ended > first.ended, aborted),
             RUN.c.ended <= second.ended,
@@ -554,38 +546,52 @@ def worse_stations(connection: Connection, cell: str = "", robot: str = "") -> l
         .where(RUN.c.newest, VERDICT.c.key.startswith(VALIDATION), VERDICT.c.mean_mm.is_not(None))
         .where(VERDICT.c.key != f"{VALIDATION}{OTHERS}", *selected(cell, robot))
     )  # fmt: skip
-    rows: defaultdict[tuple[str, ...], list[list[float]]] = defaultdict(list)
-    answer: Iterable[Row] = connection.execute(query)
-    for *place, t, mean_mm, tolerance_mm in answer:
-        rows[*place].append([t, mean_mm, math.nan if tolerance_mm is None else tolerance_mm])
-    stations = {
-        place: np.array(sorted(rows[place])) for place in sorted(rows) if len(rows[place]) >= FEWEST
-    }
-    risen = discoveries(np.array([_p_of_rise(each[:, 1]) for each in stations.values()]))
+    columns: Sequence[Sequence[Any]] = list(zip(*connection.execute(query), strict=True))
+    if not columns:
+        return []
+    places = list(zip(*columns[:4], strict=True))
+    numbers = {place: n for n, place in enumerate(sorted({*places}))}
+    number = np.array([numbers[place] for place in places])
+    rows = np.array(columns[4:], dtype=float).T  # a tolerance that is missing becomes NaN
+    order = np.lexsort((rows[:, 0], number))
+    every = np.split(rows[order], np.flatnonzero(np.diff(number[order])) + 1)
+    stations = [
+        (place, own) for place, own in zip(numbers, every, strict=True) if len(own) >= FEWEST
+    ]
+    risen = discoveries(_p_of_rise([own[:, 1] for _, own in stations]))
     return [
-        _station_trend(place, each)
-        for (place, each), rises in zip(stations.items(), risen, strict=True)
+        _station_trend(place, own)
+        for (place, own), rises in zip(stations, risen, strict=True)
         if rises
     ]
 
 
-def _p_of_rise(values: Array) -> float:
-    """Return the p-value that values (N,) do not rise: Mann and Kendall, corrected for ties and
-    continuity.
+def _p_of_rise(series: Sequence[Array]) -> Array:
+    """Return for each of S series the p-value (S,) that its values do not rise: Mann and Kendall,
+    corrected for ties and continuity.
     """
     from scipy import special
 
-    count = len(values)
-    concordant = sum(float(np.sign(values[n + 1 :] - values[n]).sum()) for n in range(count - 1))
-    return float(special.ndtr(-max(concordant - 1.0, 0.0) / _kendall_std(values)))
+    longest = max(map(len, series), default=0)
+    values = np.full((len(series), longest), np.nan)  # no NaN is more or less than another value
+    for n, each in enumerate(series):
+        values[n, : len(each)] = each
+    concordant = np.zeros(len(series))
+    for at in range(longest - 1):
+        later, now = values[:, at + 1 :], values[:, at, None]
+        concordant += np.sum(later > now, axis=1) - np.sum(later < now, axis=1)
+    stds = np.array([_kendall_std(each) for each in series])
+    p_values: Array = special.ndtr(-np.maximum(concordant - 1.0, 0.0) / stds)
+    return p_values
 
 
 def _kendall_std(values: Array) -> float:
     """Return the standard deviation of Kendall's S of values (N,) without a trend."""
     ties = np.unique(values, return_counts=True)[1].astype(float)
     count = float(len(values))
-    pairs = [each * (each - 1.0) * (2.0 * each + 5.0) for each in (np.array([count]), ties)]
-    return math.sqrt(max(float(pairs[0].sum() - pairs[1].sum()) / 18.0, np.finfo(float).tiny))
+    pairs = count * (count - 1.0) * (2.0 * count + 5.0)
+    tied = float(np.sum(ties * (ties - 1.0) * (2.0 * ties + 5.0)))
+    return math.sqrt(max((pairs - tied) / 18.0, np.finfo(float).tiny))
 
 
 def theil_sen(years: Array, values: Array) -> tuple[float, float, float, float]:
@@ -624,28 +630,16 @@ def instruments(connection: Connection, cell: str = "", robot: str = "") -> list
 
     ``cell`` and ``robot`` select devices that were used with them; each row counts all its runs.
     """
-    of_devices = (RUN.c.devices, RUN.c.cell_key, RUN.c.cell, RUN.c.robot)
-    uses = (
+    found = uses()
+    query = (
         select(
-            *of_devices, func.count().label("runs"),
-            func.min(RUN.c.begun).label("first"), func.max(RUN.c.ended).label("last"),
+            DEVICE, found.c.cell, found.c.robot, found.c.runs,
+            found.c.begun.label("first"), found.c.ended.label("last"),
         )
-        .where(RUN.c.newest)
-        .group_by(*of_devices)
-        .subquery("uses")
+        .join(DEVICE, DEVICE.c.digest == found.c.digest)
+        .where(DEVICE.c.serial != "")
     )  # fmt: skip
-    any_run = RUN.alias("any_run")  # of many with the same devices
-    alike = select(any_run.c.digest).where(
-        any_run.c.newest,
-        any_run.c.devices == uses.c.devices,
-        any_run.c.cell_key == uses.c.cell_key,  # another cell may state the same
-    )
-    query = select(DEVICE, uses).join_from(
-        uses, DEVICE, DEVICE.c.digest == alike.limit(1).correlate(uses).scalar_subquery()
-    )
-    devices = grouped(
-        connection, query.where(DEVICE.c.serial != ""), "kind", "serial", "maker", "model"
-    )
+    devices = grouped(connection, query, "kind", "serial", "maker", "model")
     scales = _scales(connection)
     return [
         Instrument(

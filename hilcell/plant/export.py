@@ -13,35 +13,40 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import msgspec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-from sqlalchemy import Connection, Select, Table, select
+from sqlalchemy import Connection, Table, select
 
 from hilcell import __version__
 from hilcell.atomic_files import NotWritten, as_not_written
 from hilcell.cell.settings import did_you_mean
 from hilcell.errors import HilcellError
+from hilcell.plant.archive import CHANGED, read_rows, run_rows
 from hilcell.plant.audit import FORM, MANIFEST, RECORD, SIGNATURE, FileEntry, Manifest, fingerprint
 from hilcell.plant.database import PlantError
 from hilcell.plant.record import rows_digest
 from hilcell.plant.tables import DOCUMENT, PARTS, POINT, RUN, Row
 from hilcell.sanitize import clean
 
-CHANGED = "the plant's database was changed or damaged; restore a backup, then ship again"
 Add = Callable[[str, bytes], object]
 
 
 def export(
-    connection: Connection, cell: str, serial: str | None, place: Path, key: Ed25519PrivateKey
+    connection: Connection,
+    cell: str,
+    serial: str | None,
+    place: Path,
+    key: Ed25519PrivateKey,
+    archive: Path | None = None,
 ) -> Manifest:
-    """Write the record of a cell to a folder, or to an archive if ``place`` ends in .zip.
+    """Write the record of a cell to a folder, or to a .zip file if ``place`` ends so.
 
-    ``serial`` is required if several cells have that name. Raises `NotWritten`, `PlantError`, and
+    ``serial`` is required if several cells have that name; points of old runs are read from the
+    folder ``archive``. Raises `NotWritten`, `PlantError`, and
     `HilcellError` for an unknown cell.
     """
-    source = _Source(connection)
+    source = _Source(connection, archive)
     serials = source.serials(cell, serial)
     files: dict[str, FileEntry] = {}
     runs = simulated = 0
@@ -53,7 +58,7 @@ def export(
             put(name, content)
 
         query = select(RUN).where(RUN.c.cell == cell, RUN.c.serial.in_(serials))
-        for run in source.read(query.order_by(RUN.c.ended, RUN.c.revision), cell):
+        for run in read_rows(connection, query.order_by(RUN.c.ended, RUN.c.revision), cell):
             folder = f"runs/{_safe(run['name'])}-{run['revision']}-{run['digest'].hex[:12]}"
             rows = source.add_run(run, folder, add)
             if rows_digest(rows) != run["digest"]:
@@ -75,6 +80,7 @@ def export(
 @dataclass(frozen=True, eq=False)
 class _Source:
     connection: Connection
+    archive: Path | None
 
     def serials(self, cell: str, serial: str | None) -> list[str]:
         query = select(RUN.c.cell, RUN.c.serial).distinct().order_by(RUN.c.cell, RUN.c.serial)
@@ -93,12 +99,10 @@ class _Source:
 
     def add_run(self, run: Row, folder: str, add: Add) -> dict[Table, list[Row]]:
         """Add the files of one revision of a run; return its rows."""
-        tables = {RUN: [run]}
+        tables = run_rows(self.connection, run, self.archive)
         add(f"{folder}/{RECORD}", _json(dict(run)))
         for table in PARTS:
-            own = table.c.digest == run["digest"]
-            query = select(table).where(own).order_by(*table.primary_key)
-            rows = tables[table] = self.read(query, f"run {clean(run['name'])}")
+            rows = tables[table]
             if table is DOCUMENT:
                 for row in rows:
                     add(f"{folder}/documents/{_safe(row['name'])}", self._document(run, row))
@@ -124,15 +128,6 @@ class _Source:
                 f"{CHANGED}"
             )
         return content
-
-    def read(self, query: Select[Any], what: str) -> list[Row]:
-        """Return rows; raises `PlantError` for values that do not fit their column."""
-        try:
-            return list(self.connection.execute(query).mappings())
-        except (ValueError, TypeError, AttributeError):
-            raise PlantError(
-                f"{what}: the database has values that cannot be read: {CHANGED}"
-            ) from None
 
 
 def _changed_text(names: list[str]) -> str:

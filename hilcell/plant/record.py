@@ -248,12 +248,15 @@ def _grid(log: Log) -> Iterator[Values]:
         return
     errors_mm = measured_grid(log).errors_mm.reshape(-1, 3)
     places_mm = np.ascontiguousarray(grid_of(log.cell).vertices_mm().reshape(-1, 3), dtype="<f8")
+    base, arm_mm = log.matrix("base"), 1000.0
+    base_mm = base[:3, 3] + arm_mm * np.vstack([np.zeros(3), base[:3, :2].T])
     if np.isfinite(errors_mm).all():
         celsius = [point.temperature_c for point in points if point.temperature_c is not None]
         yield {
             "layout": first_128_bits(places_mm.tobytes()),
             "places_mm": places_mm.tolist(),
             "errors_mm": errors_mm.tolist(),
+            "base_mm": base_mm.tolist(),
             "mean_mm": fmean(np.linalg.norm(errors_mm, axis=1)),
             "temperature_c": fmean(celsius) if celsius else None,
         }

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 from sqlalchemy import Connection, text
 
-from hilcell.plant.tables import CLAIM, DECISION, PARTS, RUN, SERVER_COLUMNS
+from hilcell.plant.tables import ARCHIVE, CLAIM, DECISION, PARTS, RUN, SERVER_COLUMNS
 
 CELL, ENGINEER = "hilcell_cell", "hilcell_engineer"  # roles
 CELL_COLUMNS = ("digest", "cell_key", "run_key", "revision", "head", "shipped")  # read by cells
@@ -47,8 +47,8 @@ def _grants() -> Iterator[str]:
     yield f"GRANT INSERT (cell, serial), SELECT ON {CLAIM.name} TO {CELL}"
     yield f"GRANT INSERT ON {parts} TO {CELL}"
     yield (
-        f"GRANT SELECT ON {RUN.name}, {parts}, current_run, {CLAIM.name}, {DECISION.name} "
-        f"TO {ENGINEER}"
+        f"GRANT SELECT ON {RUN.name}, {parts}, current_run, {CLAIM.name}, {DECISION.name}, "
+        f"{ARCHIVE.name} TO {ENGINEER}"
     )
     yield f"GRANT SELECT ON alembic_version TO {CELL}, {ENGINEER}"
 

@@ -265,8 +265,9 @@ _partial_index("run_of_cell", RUN, "newest", "cell_key", "ended")
 _partial_index("run_proven", RUN, "newest AND proven", "cell_key", "ended")
 _partial_index("run_of_robot", RUN, "newest", "robot", "ended")
 _partial_index("run_held", RUN, "held", "cell_key", "ended")
+sa.Index("run_shipped", RUN.c.cell_key, RUN.c.shipped)
 _partial_index("run_of_name", RUN, "newest", "cell", "serial", "name")
-_partial_index("run_of_devices", RUN, "newest", "devices", "cell_key")
+_partial_index("run_of_use", RUN, "newest", "cell_key", "devices", "begun", "ended")
 _partial_index("run_real", RUN, "newest AND machine = ''", "cell_key", "begun", "first_ended")
 _partial_index("run_set_back", RUN, "ended < begun", "ended")
 
@@ -341,9 +342,11 @@ GRID = _part(
         "vertices: grids of one layout are compared"),
     _vectors("places_mm", "vertices, (N, 3) in {B}, mm, 8 bytes each, little-endian"),
     _vectors("errors_mm", "errors, (N, 3) in {B}, mm, 8 bytes each, little-endian"),
+    _vectors("base_mm", "{B} in {W} as three points: its origin, and 1 m from it along x and y"),
     _figure("mean_mm", "mean length of the errors, mm", FARTHEST_MM),
     _perhaps("temperature_c", "mean of the air, deg C", 1e4),
-    _check("grid_errors", "length(errors_mm) = length(places_mm) AND length(errors_mm) % 24 = 0"),
+    _check("grid_errors", "length(errors_mm) = length(places_mm) AND length(errors_mm) > 0"),
+    _check("grid_base", "length(base_mm) = 72"),
 )  # fmt: skip
 STREAM = _part(
     "stream",
@@ -391,6 +394,14 @@ POINT = _part(
         for name, comment in (
             ("commanded_deg", "commanded joints, deg"), ("joints_deg", "joints as read, deg"),
         )),
+)  # fmt: skip
+ARCHIVE = _part(
+    "archive",
+    "a file that holds the points of a run, which are no longer in point",
+    _text("file", "name of the file, in the folder of the archive"),
+    _sha256("SHA-256 of the file"),
+    sa.Column("at", Utc, nullable=False, server_default=sa.func.now(), comment="when they were "
+        "moved, by the server's clock"),
 )  # fmt: skip
 CLAIM = _table(
     "claim",

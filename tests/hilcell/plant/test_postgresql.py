@@ -71,7 +71,7 @@ def test_a_store_keeps_each_number_to_its_last_digit(
     ]
     grid = {
         "places_mm": [list(numbers[:3])], "errors_mm": [list(numbers[3:6])], "temperature_c": 20,
-        "layout": record.run_key, "mean_mm": numbers[0],
+        "layout": record.run_key, "base_mm": [list(numbers[1:4])] * 3, "mean_mm": numbers[0],
     }  # fmt: skip
     rows = {**record.rows, POINT: points, LENGTH: lengths, GRID: [grid]}
     own = {"digest": rows_digest(rows)}

@@ -18,6 +18,7 @@ import numpy as np
 import psycopg
 import pytest
 from psycopg.rows import dict_row
+from sqlalchemy import text
 
 from hilcell.journal.runs import read_records
 from hilcell.plant.database import ENGINEER, Database
@@ -128,6 +129,37 @@ def test_a_collision_after_the_grid_was_measured_is_named(
     (words,) = change["said"]
     assert COLLISION["code"] in words
     assert "(hit)" in words
+
+
+def test_a_monitor_has_an_exit_code_and_a_file(filed: str, tmp_path: Path) -> None:
+    """The calibrations are 20 days old."""
+    file = tmp_path / "plant.prom"
+    words = ("plant", "show", "--from", filed, "--check", "--metrics", file)
+    for days, code, valid, left in ((180, 0, 1.0, 160.0), (10, 1, 0.0, -10.0)):
+        assert command(*words, "--max-age", str(days)).returncode == code
+        values: dict[str, list[float]] = {}
+        for line in file.read_text().splitlines():
+            name, _, value = line.partition("{")
+            if not line.startswith("#"):
+                assert 'cell="' in value
+                values.setdefault(name, []).append(float(value.rpartition(" ")[2]))
+        assert values["hilcell_plant_calibration_valid"] == [valid] * 3
+        assert values["hilcell_plant_calibration_days_left"] == pytest.approx([left] * 3, abs=0.2)
+        arrived = values["hilcell_plant_last_shipped_timestamp_seconds"]
+        assert arrived == pytest.approx([datetime.now(UTC).timestamp()] * 3, abs=86400.0)
+    assert command("plant", "show", "--from", filed, "--max-age", "10").returncode == 0
+    assert [each.name for each in tmp_path.iterdir()] == [file.name]
+    line = command("plant", "show", "--from", filed, "--metrics", tmp_path / "no" / "x").stderr
+    assert str(tmp_path / "no") in line
+
+
+def test_a_label_is_one_word_to_prometheus(model: Model, office: Database, tmp_path: Path) -> None:
+    model.write(tmp_path / "runs", Run("a", "north", "HC-1", NOW - 9 * DAY))
+    asked_after(office.name, tmp_path / "runs")
+    with office.transaction() as connection:
+        connection.execute(text("UPDATE run SET cell = :cell"), {"cell": 'n"o\\th'})
+    asked(office.name, "--metrics", str(tmp_path / "plant.prom"))
+    assert 'cell="n\\"o\\\\th"' in (tmp_path / "plant.prom").read_text()
 
 
 def test_tables_name_the_collision_too(filed: str) -> None:
