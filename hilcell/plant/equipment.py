@@ -33,6 +33,7 @@ from sqlalchemy import (
     Connection,
     Double,
     LargeBinary,
+    Text,
     and_,
     cast,
     extract,

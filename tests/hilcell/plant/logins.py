@@ -66,7 +66,8 @@ def rows_of(own: Plant, cell: str, run: str) -> dict[str, list[dict[str, Any]]]:
     record = run_record(run, read_records(own.folder / cell / run))
     rows = {table.name: [dict(each) for each in every] for table, every in record.rows.items()}
     for grid in rows["grid"]:
-        grid |= {name: np.array(grid[name], "<f8").tobytes() for name in ("places_mm", "errors_mm")}
+        vectors = ("places_mm", "errors_mm", "base_mm")
+        grid |= {name: np.array(grid[name], "<f8").tobytes() for name in vectors}
     return rows
 
 
