@@ -33,7 +33,7 @@ COLUMNS = [each for each in POINT.c if each.name != "digest"]
 
 @dataclass
 class Moved:
-    """What was moved to files; ``refused``: reasons of one line, by run."""
+    """Runs, points and bytes moved to files; ``refused``: reasons of one line, by run."""
 
     runs: int = 0
     points: int = 0
