@@ -25,6 +25,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations, product
 from operator import methodcaller
+from statistics import fmean
 from typing import Generic, Self, TypeVar
 
 import msgspec
@@ -40,6 +41,7 @@ from hilcell.study.study_file import BOUND, Optimum, Study
 
 MEASURED, MINUTES, COVERED, DECIDES = range(4)  # figures of points
 UNKNOWN = Interval(math.nan, math.nan)
+TINY = 1e-300  # no division by nought
 TOO_LONG = 1e6  # of a design with too many minutes, which are added
 Rows = Sequence[Row]
 Model = TypeVar("Model", Additive, Crossed)
@@ -270,7 +272,8 @@ def answers(study: Study, rows: Rows) -> Answers:
         return Answers(found, within, counts, best=chosen_best, by_truth=by_truth)
     if not done:
         return Answers(found, within, counts)
-    return _Effects(study, rows, done).answers(found, within, counts)
+    points = {each.point.number: each.point for each in found}
+    return _Effects(study, rows, done, points).answers(found, within, counts)
 
 
 def whole(study: Study, found: Sequence[Design]) -> list[Design]:
@@ -296,7 +299,7 @@ def covered(rows: Rows) -> Share:
 
 
 def _mean(rows: Rows, figure: str) -> float:
-    return float(np.mean([row.figure(figure) for row in rows]))
+    return fmean(row.figure(figure) for row in rows)
 
 
 def by_number(rows: Rows, of: str) -> dict[int, list[Row]]:
@@ -328,7 +331,7 @@ def _design(study: Study, own: Rows, decides: str) -> tuple[Design, Array]:
     deciding = np.array([_mean(each, decides) for each in machines])
     truth = deciding if decides == study.truth else np.array([math.nan])
     bounds = [row.figures.get(BOUND) for row in done]
-    bound_mm = math.nan if None in bounds else float(np.mean([each or 0.0 for each in bounds]))
+    bound_mm = math.nan if None in bounds else fmean(each or 0.0 for each in bounds)
     judged: list[Within | None] = [None, None]
     if (asked := study.question) is not None:
         every = by_number(own, "machine").values()
@@ -404,10 +407,11 @@ class _Effects:
     A machine did a point where it did it with all sets of targets that any machine was given.
     """
 
-    def __init__(self, study: Study, rows: Rows, done: Rows) -> None:
+    def __init__(self, study: Study, rows: Rows, done: Rows, points: Mapping[int, Point]) -> None:
         self.study, self.rows, self.done = study, rows, done
         self.by_truth = has_truth(study, done)
-        self.tried = {n: chosen(study, own[0]) for n, own in by_number(rows, "point").items()}
+        by_point = by_number(rows, "point").items()
+        self.tried = {n: points.get(n) or chosen(study, own[0]) for n, own in by_point}
         decides = study.truth if self.by_truth and study.truth else study.accuracy
         self.fits = self._fits(done, [study.accuracy, "minutes", "covered", decides])
         self.points = {each.number: each for each in self.fits.points}
@@ -566,26 +570,28 @@ class _Effects:
 class _Contrast:
     """A contrast of each figure on each machine (F, M), NaN where it is not estimable.
 
-    ``shared`` (F,) is the variance that machines share, with ``freedom``.
+    ``shared`` (F,) is the variance that machines share, with ``freedom`` (F,).
     """
 
     values: Array
     shared: Array
-    freedom: float
+    freedom: Array
 
     def known(self, figure: int) -> Array:
         values: Array = self.values[figure]
         return values[np.isfinite(values)]
 
     def interval(self, figure: int) -> Interval:
-        return Interval.with_misfit(self.known(figure), float(self.shared[figure]), self.freedom)
+        shared, freedom = float(self.shared[figure]), float(self.freedom[figure])
+        return Interval.with_misfit(self.known(figure), shared, freedom)
 
     def over_machines(self, figure: int) -> Interval:
         """Return the interval without what machines share."""
         return Interval.of(self.known(figure))
 
     def p(self, figure: int) -> float:
-        return p_value(self.known(figure), float(self.shared[figure]), self.freedom)
+        shared, freedom = float(self.shared[figure]), float(self.freedom[figure])
+        return p_value(self.known(figure), shared, freedom)
 
     def without_values(self) -> Self:
         return replace(self, values=np.full_like(self.values, np.nan))
@@ -650,12 +656,15 @@ class _Fitted(Generic[Model]):
         known = np.isfinite(weights).all(axis=0)
         count, shared = int(known.sum()), np.zeros(len(values))
         if self._of.complete or count < 2:
-            return _Contrast(values, shared, math.inf)
+            return _Contrast(values, shared, np.full(len(values), math.inf))
         if not self._freedom > 0.0:
-            return _Contrast(values, np.full(len(values), math.inf), 1.0)
+            return _Contrast(values, shared + math.inf, np.ones(len(values)))
         each = (weights * self._rests)[:, :, known] / count
-        shared = (each.sum(axis=2) ** 2).sum(axis=1) - (each**2).sum(axis=(1, 2))
-        return _Contrast(values, np.maximum(0.0, shared) * count / (count - 1.0), self._freedom)
+        points = each.sum(axis=2) ** 2
+        shared = np.maximum(0.0, points.sum(axis=1) - (each**2).sum(axis=(1, 2)))
+        kurtosis = (points**2).sum(axis=1) / np.maximum(points.sum(axis=1) ** 2, TINY)
+        freedom = np.minimum(self._freedom, 3.0 / np.maximum(kurtosis, TINY))  # chi², 1 a point
+        return _Contrast(values, shared * count / (count - 1.0), np.maximum(1.0, freedom))
 
 
 def brief(reason: str) -> str:

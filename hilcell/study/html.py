@@ -25,6 +25,7 @@ from hilcell.study.tables import Summary
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+MOST_DRAWN = 1000  # of the designs beside the front; a page of all takes minutes to draw
 BLUE = COLOURS[Sent.CHOSEN]
 
 
@@ -73,6 +74,8 @@ def _caption(study: Study, found: Answers) -> str:
     words = [filled, "Numbers: points of the table. Bars: 95 % interval of the mean over machines."]
     if not all(each.whole for each in found.designs):
         words.append("Crosses: not done on every machine, so not compared.")
+    if len(found.designs) - len(found.front) > MOST_DRAWN:
+        words.append(f"Others: at most {MOST_DRAWN} of {len(found.designs)}, evenly picked.")
     if study.question is not None:
         words.append("Dashed: the limit of the question.")
     return " ".join(words)
@@ -86,9 +89,11 @@ def _front(study: Study, found: Answers) -> str:
     if study.has_costs:
         across.append((study.money, lambda each: each.point.cost))
     figure, axes = axes_grid(3.6, columns=len(across), sharey=True)
+    beaten = [each for each in found.designs if not each.on_front]
+    beaten = beaten[:: math.ceil(len(beaten) / MOST_DRAWN) or 1]
     groups = (
-        ([each for each in found.designs if not each.whole], MUTED, "x"),
-        ([each for each in found.designs if each.whole and not each.on_front], MUTED, "o"),
+        ([each for each in beaten if not each.whole], MUTED, "x"),
+        ([each for each in beaten if each.whole], MUTED, "o"),
         (found.front, BLUE, "o"),
     )
     for (name, of), ax in zip(across, axes[0], strict=True):

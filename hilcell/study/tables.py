@@ -106,7 +106,7 @@ class Summary:
             if each.within and (each.on_front or each.within.answer == "yes")
         ]
         columns: list[Column[Design]] = [
-            *self._design_columns(1),
+            *self._design_columns(0),
             Column("within", lambda row: _within(row.within), form="s"),
             Column("share at least", lambda row: 100.0 * _low(row.within), "%", ".1f"),
             Column("answer", lambda row: row.within.text() if row.within else None),
