@@ -116,14 +116,15 @@ def real_cases(count: int) -> None:
     for workers in (1, 2):
         with local_workers(workers, print) as pool:
             pids = [each.pid or 0 for each in active_children() if "Dask Worker" in each.name]
-            grown = list[list[float]]()
+            grown, done = list[list[float]](), 0
             for n, (_, row) in enumerate(pool.measure((each, cell) for each in cases), start=1):
-                assert row.state == "done", row.reason
+                done += row.state == "done"  # of some machines the program refuses the set-up
                 if n in (count // 6, count):
                     grown.append([peak_mib(pid) for pid in pids])
             spent_s = sum(processor_s(pid) for pid in pids)
         shown = [" and ".join(f"{each:.0f}" for each in times) for times in grown]
-        print(f"{workers} workers, {count} real cases: {shown[0]} MiB after {count // 6}, ", end="")
+        print(f"{workers} workers, {done} of {count} cases done: {shown[0]} MiB ", end="")
+        print(f"after {count // 6}, ", end="")
         print(f"{shown[1]} MiB after all; {spent_s / count:.2f} s of processor a case", flush=True)
 
 
