@@ -61,9 +61,10 @@ def init(args: PlantInit) -> int:
     from hilcell.plant.tables import HEAD
 
     state = "is up to date" if before else "created"
+    office = "" if database.has_logins else "; SQLite has no logins: for the cells of one office"
     print_answer(
         {"plant": database.name, "schema": HEAD, "before": before or None},
-        f"plant database {database.name}: {state}, schema {HEAD}",
+        f"plant database {database.name}: {state}, schema {HEAD}{office}",
         as_json=args.json,
     )
     return EXIT_OK

@@ -12,6 +12,7 @@ import io
 import json
 import os
 import secrets
+import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -123,13 +124,11 @@ def run_rows(connection: Connection, run: Row, folder: Path | None) -> dict[Tabl
 
 
 def read_rows(connection: Connection, query: Select[Any], what: str) -> list[Row]:
-    """Return rows; raises `PlantError` for values that do not fit their column."""
+    """Return rows; raises `Changed` for values that do not fit their column."""
     try:
         return list(connection.execute(query).mappings())
-    except (ValueError, TypeError, AttributeError):
-        raise PlantError(
-            f"{what}: the database has values that cannot be read: {CHANGED}"
-        ) from None
+    except (ValueError, TypeError, AttributeError, RecursionError, struct.error):
+        raise Changed(f"{what}: the database has values that cannot be read: {CHANGED}") from None
 
 
 def _content(run: Row, kept: Row, folder: Path | None) -> bytes:

@@ -31,6 +31,8 @@ SHIPPED = "plant.sqlite"  # cache in the folder of runs: which journals were shi
 # A failed connection has no SQLSTATE: only the English message of the server, or a request for a
 # password, tells why.
 FATAL = "FATAL: "  # the server's reply to a connection
+# The server is not the one that the URL trusts, or has no TLS: repeating does not help.
+UNTRUSTED = re.compile(r"certificate|SSL was required|private key file")
 SECRET = re.compile("passw|pwd", re.IGNORECASE)  # in the names of the URL's options
 
 
@@ -61,12 +63,12 @@ class Database:
         plain = self._url.set(drivername=self._url.get_backend_name()).update_query_dict(hidden)
         shown = plain.render_as_string(hide_password=True)
         self.name = clean(shown.replace(quote(HIDDEN), HIDDEN))
-        self._remote = self._url.get_backend_name() == POSTGRESQL
-        options: dict[str, float] = {} if self._remote else {"timeout": BUSY_S}
+        self.has_logins = self._url.get_backend_name() == POSTGRESQL  # SQLite is a file
+        options: dict[str, float] = {} if self.has_logins else {"timeout": BUSY_S}
         # psycopg's warnings repeat the raised error; without a handler they reach stderr.
         logging.getLogger("psycopg").addHandler(self._SILENT_LOG)
         self.engine: Engine = sa.create_engine(self._url, connect_args=options, pool_pre_ping=False)
-        if self._remote:
+        if self.has_logins:
             event.listen(self.engine, "do_connect", self._connected)
         else:
             event.listen(self.engine, "connect", self._check_keys)
@@ -76,7 +78,7 @@ class Database:
         """Yield a connection in a transaction. Raises `PlantUnavailable` and `PlantError`."""
         try:
             with self.engine.begin() as connection:
-                if self._remote:
+                if self.has_logins:
                     from hilcell.plant import deadlines  # loads psycopg
 
                     order_s = deadlines.MIGRATION_S if migrating else deadlines.ORDER_S
@@ -84,11 +86,13 @@ class Database:
                 yield connection
         except exc.SQLAlchemyError as error:
             raise self._error(error) from None  # SQLAlchemy's message has the values of all rows
+        except UnicodeDecodeError as error:
+            raise self._refusal(f"it has text that is not in UTF-8: {error.reason}") from None
 
     def check(self) -> None:
         """Raise `PlantError` where the schema is not this version's, or `PlantUnavailable`."""
         self._check_place()
-        if not (self._remote or Path(self._url.database or "").is_file()):
+        if not (self.has_logins or Path(self._url.database or "").is_file()):
             raise self._none()  # SQLite would create an empty file
         with self.transaction() as connection:
             self._check(connection)
@@ -105,7 +109,7 @@ class Database:
         with self.transaction(migrating=True) as connection:
             # One process at a time; sqlite3 would also commit each table separately.
             alone = "SELECT pg_advisory_xact_lock(hashtext('hilcell.plant_init'))"
-            connection.exec_driver_sql(alone if self._remote else "BEGIN IMMEDIATE")
+            connection.exec_driver_sql(alone if self.has_logins else "BEGIN IMMEDIATE")
             before = self._version(connection)
             if before is None:
                 self._check_empty(connection)
@@ -115,7 +119,7 @@ class Database:
             config.set_main_option("script_location", str(MIGRATIONS))
             config.attributes["connection"] = connection
             command.upgrade(config, "head")
-            if self._remote:
+            if self.has_logins:
                 admit(connection)
         return before or ""
 
@@ -123,7 +127,7 @@ class Database:
         self.engine.dispose()
 
     def _check_place(self) -> None:
-        if self._remote:
+        if self.has_logins:
             return
         file = Path(self._url.database or "")
         if file.is_dir():
@@ -191,11 +195,16 @@ class Database:
                 f"login refused: {line.rpartition(FATAL)[2].strip()}; check the URL's user and "
                 "database, and the password in ~/.pgpass; the database's owner admits users"
             )
+        if getattr(cause, "pgconn", None) is not None and UNTRUSTED.search(line):
+            return self._refusal(
+                f"connection refused: {line.rpartition('failed: ')[2]}; check sslmode, sslrootcert "
+                "and the host name in the URL, and the server's certificate"
+            )
         if self._unavailable(error, cause):
             remote, local = "the server and the network", "the folder, its permissions and the disk"
             return PlantUnavailable(
                 f"plant database {self.name}: it cannot be used now: {line}; nothing is lost: "
-                f"check {remote if self._remote else local}, then repeat the command"
+                f"check {remote if self.has_logins else local}, then repeat the command"
             )
         damaged = {  # by SQLite's error name
             "SQLITE_NOTADB": "; use another file, or restore its backup",

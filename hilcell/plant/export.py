@@ -26,7 +26,7 @@ from hilcell.plant.archive import CHANGED, read_rows, run_rows
 from hilcell.plant.audit import FORM, MANIFEST, RECORD, SIGNATURE, FileEntry, Manifest, fingerprint
 from hilcell.plant.database import PlantError
 from hilcell.plant.record import rows_digest
-from hilcell.plant.tables import DOCUMENT, PARTS, POINT, RUN, Row
+from hilcell.plant.tables import DECISION, DOCUMENT, PARTS, POINT, RUN, Row
 from hilcell.sanitize import clean
 
 Add = Callable[[str, bytes], object]
@@ -66,6 +66,10 @@ def export(
             runs, simulated = runs + 1, simulated + run["simulated"]
         if changed:
             raise PlantError(_changed_text(changed))
+        own = (DECISION.c.cell == cell, DECISION.c.serial.in_(serials))
+        decisions = read_rows(connection, select(DECISION).where(*own).order_by(DECISION.c.n), cell)
+        if decisions:
+            add("decisions.json", _json([dict(each) for each in decisions]))
         manifest = Manifest(
             form=FORM, cell=cell, serials=serials, runs=runs, simulated_runs=simulated,
             made=datetime.now(UTC).isoformat(timespec="seconds"),

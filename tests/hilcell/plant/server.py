@@ -91,6 +91,14 @@ class Server:
         with psycopg.connect(self.url(), autocommit=True) as connection:
             connection.execute("SELECT pg_reload_conf()")
 
+    def write(self, name: str, content: bytes) -> None:
+        """Write a file of its own, which it alone may read."""
+        path = self._data / name
+        path.write_bytes(content)
+        path.chmod(0o600)
+        if self._user:
+            shutil.chown(path, self._user)
+
     def url(self, database: str = "postgres", user: str = "owner") -> str:
         return f"postgresql://{user}@/{database}?host={self._folder}"
 

@@ -272,3 +272,5 @@ def test_a_run_of_the_future_waits_for_the_owner(
     key = private(tmp_path / "key")
     export = ("export", "north", "-o", str(tmp_path / "out"), "--key", str(key))
     assert asked(*export)["runs"] == 2
+    exported = json.loads((tmp_path / "out" / "decisions.json").read_text())
+    assert [each["what"] for each in exported] == ["accepted", "removed"]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from datetime import UTC, datetime
+from ipaddress import ip_address
 from itertools import cycle
 from math import nextafter
 from pathlib import Path
@@ -12,9 +14,16 @@ from typing import Any
 
 import psycopg
 import pytest
+from alembic import command as alembic
 from alembic.autogenerate import compare_metadata
+from alembic.config import Config
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+from cryptography.x509.oid import NameOID
 from sqlalchemy import Table, event, make_url, select, text
 
 from hilcell.journal.runs import read_records
@@ -23,11 +32,13 @@ from hilcell.plant.record import heads, rows_digest, run_record
 from hilcell.plant.shipper import ship, write
 from hilcell.plant.tables import GRID, HEAD, LENGTH, PARTS, POINT, RUN, TABLES
 from tests.hilcell.plant.conftest import NOW, refused
-from tests.hilcell.plant.server import Server
+from tests.hilcell.plant.server import FAST, MISSING, Server, server
 from tests.hilcell.plant.test_export import private
+from tests.hilcell.plant.test_refusals import nowhere
 from tests.hilcell.plant.year import Model, Run, extend
 from tests.whole.bench import command
 
+Authority = tuple[x509.Name, ec.EllipticCurvePrivateKey]
 BOTH = ["office", pytest.param("plant", marks=pytest.mark.process)]
 
 
@@ -50,6 +61,12 @@ def test_a_store_keeps_each_number_to_its_last_digit(
     with database.transaction() as connection:
         context = MigrationContext.configure(connection)
         assert compare_metadata(context, TABLES) == []
+        config = Config()
+        config.set_main_option("script_location", str(MIGRATIONS))
+        config.attributes["connection"] = connection
+        alembic.check(config)
+        with pytest.raises(NotImplementedError, match="backup"):
+            alembic.downgrade(config, "base")
     assert ScriptDirectory(str(MIGRATIONS)).get_heads() == [HEAD]
     records = read_records(model.write(tmp_path, Run("a", "north", "HC-1", NOW)))
     record = run_record("a", records)
@@ -261,3 +278,59 @@ def test_a_login_is_refused_and_its_password_is_nowhere(
     for user, code in (("asked", 2), ("asked:right", 7), ("nobody", 2), ("eve", 2)):
         url = f"postgresql://{user}@/shut?host={host}"
         assert command("plant", "show", "--from", url).returncode == code
+
+
+def certified(place: Path, name: str, by: Authority | None = None) -> Authority:
+    """Write a certificate of a name and its key; return both."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    own = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+    issuer, signer = by or (own, key)
+    address = x509.IPAddress(ip_address("127.0.0.1"))
+    certificate = (
+        x509.CertificateBuilder()
+        .subject_name(own)
+        .issuer_name(issuer)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(datetime(2000, 1, 1, tzinfo=UTC))
+        .not_valid_after(datetime(2199, 1, 1, tzinfo=UTC))
+        .add_extension(x509.BasicConstraints(ca=by is None, path_length=None), critical=True)
+        .add_extension(x509.SubjectAlternativeName([address]), critical=False)
+        .sign(signer, hashes.SHA256())
+    )
+    (place / f"{name}.crt").write_bytes(certificate.public_bytes(Encoding.PEM))
+    form = (Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    (place / f"{name}.key").write_bytes(key.private_bytes(*form))
+    (place / f"{name}.key").chmod(0o600)
+    return own, key
+
+
+@pytest.mark.process
+def test_a_server_that_the_url_does_not_trust_is_refused(tmp_path: Path) -> None:
+    """Another authority, a file that is none, a server without TLS: repeating does not help."""
+    if MISSING:
+        pytest.skip(MISSING)
+    port = nowhere()
+    with server((*FAST, "listen_addresses=127.0.0.1", f"port={port}")) as own:
+        url = f"postgresql://owner@127.0.0.1:{port}/postgres"
+
+        def answered(mode: str) -> int:
+            authority = f"&sslrootcert={tmp_path}/{mode}" if mode.endswith(".crt") else ""
+            ask = f"{url}?sslmode={'verify-full' if authority else mode}{authority}"
+            done = command("plant", "init", "--to", ask)
+            assert done.stderr.count("\n") == 1
+            return done.returncode
+
+        ours, _ = certified(tmp_path, "ours"), certified(tmp_path, "theirs")
+        certified(tmp_path, "server", ours)
+        assert answered("require") == 2
+        for name in ("server.crt", "server.key"):
+            content = (tmp_path / name).read_bytes()
+            own.write(name, content)
+        with asking(url) as owner:
+            owner.execute("ALTER SYSTEM SET ssl = on")
+            owner.execute("SELECT pg_reload_conf()")
+            while owner.execute("SHOW ssl").fetchone() != ("on",):
+                pass
+        codes = {mode: answered(mode) for mode in ("theirs.crt", "none.crt", "ours.crt")}
+        assert codes == {"theirs.crt": 2, "none.crt": 2, "ours.crt": 0}
