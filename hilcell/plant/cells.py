@@ -22,7 +22,7 @@ from hilcell.calibration.validity import CLOCK_ERROR, MAX_AGE_DAYS
 from hilcell.decoding import decoded
 from hilcell.journal.calibration_status import statuses
 from hilcell.journal.index import RunRow, in_order
-from hilcell.plant.tables import OUTCOME, RUN, Row, grouped
+from hilcell.plant.tables import CLAIM, OUTCOME, RUN, Row, grouped
 from hilcell.sanitize import clean, counted
 
 CELL = (RUN.c.cell, RUN.c.serial, RUN.c.machine)
@@ -236,7 +236,7 @@ def inconsistencies(
     which runs were left out.
     """
     of = _Inconsistencies(connection)
-    checks = (of.serials, of.robots, of.namesakes, of.at_once, of.held, of.set_back)
+    checks = (of.serials, of.robots, of.namesakes, of.logins, of.at_once, of.held, of.set_back)
     every = (*left_out, *(each for check in checks for each in check()))
     return list(dict.fromkeys(text for names, text in every if not {*cells}.isdisjoint(names)))
 
@@ -292,6 +292,16 @@ class _Inconsistencies:
                 "name (`hilcell run --name`)"
             )
             yield [cell], text
+
+    def logins(self) -> Iterator[Doubt]:
+        """Yield names of cells that several logins ship."""
+        query = select(CLAIM).order_by(CLAIM.c.cell, CLAIM.c.serial)
+        for (cell,), rows in grouped(self.connection, query, "cell").items():
+            if len({row.login for row in rows}) > 1:
+                of = ", ".join(f"{clean(row.login)} (serial number {clean(row.serial)})"
+                               for row in rows)  # fmt: skip
+                text = f"cell {clean(cell)} is shipped by several logins: {of}: give each cell its "
+                yield [cell], f"{text}own name, or `hilcell plant assign` each to its login"
 
     def at_once(self) -> Iterator[Doubt]:
         """Yield real cells in which two runs overlap up to their first ends, for a re-opened run

@@ -200,6 +200,19 @@ def test_the_first_login_has_the_cell_until_the_owner_assigns_it(
     assert {each["login"] for each in json.loads(listed.stdout)["claims"]} == {both.logins["south"]}
 
 
+def test_a_namesake_of_another_s_cell_is_named(both: Plant, model: Model, tmp_path: Path) -> None:
+    """With a serial number of its own it is another cell, which takes no run of the first."""
+    model.write(tmp_path / "twin", Run("twin", "north", "HC-other", NOW - 5 * DAY))
+    assert command("plant", "ship", tmp_path / "twin", "--to", both.url("south")).returncode == 0
+    shown = both.shown()
+    known = {each["serial"]: each["calibration"] for each in shown["cells"]}
+    assert (known["HC-north"], known["HC-other"]) == ("north-20", "twin")
+    (doubt,) = shown["doubts"]
+    assert both.logins["south"] in doubt
+    refused("export", "north", "-o", tmp_path / "out", "--key", private(tmp_path / "key"),
+            "--from", both.url("reader"))  # fmt: skip
+
+
 def test_a_cell_is_assigned_ahead(both: Plant, model: Model, tmp_path: Path) -> None:
     to = ("--to", both.url())
     refused("assign", "west", "--login", both.logins["north"], *to)  # which serial number?

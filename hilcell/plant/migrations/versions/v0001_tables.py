@@ -17,7 +17,8 @@ DO $$ BEGIN EXECUTE format('
 CREATE FUNCTION plant_newest() RETURNS trigger
 LANGUAGE plpgsql SECURITY DEFINER SET search_path = pg_catalog, %I, pg_temp AS $function$
 BEGIN
-    PERFORM pg_advisory_xact_lock(hashtextextended(NEW.cell_key::text || NEW.run_key::text, 0));
+    PERFORM pg_advisory_xact_lock(
+        hashtextextended(NEW.cell_key::text || NEW.run_key::text, 0::bigint));
     {KEPT}
     RETURN NULL;
 END $function$', current_schema()); END $$;
