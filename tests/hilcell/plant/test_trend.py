@@ -42,6 +42,23 @@ def test_noise_is_no_step_and_no_drift() -> None:
     assert drifts <= 200 * SIGNIFICANCE * 4
 
 
+@pytest.mark.parametrize("changed", [0, 5])
+def test_of_a_whole_plant_hardly_a_line_is_false(changed: int) -> None:
+    """100 quantities, some with a step: 1 % of the steps and of the drifts that are shown may be
+    false, or a plant in a hundred without any change has a line.
+    """
+    false = found = 0
+    for seed in range(20):
+        step = 0.15 * (np.arange(24) >= AT)
+        every = [Series(YEARS, noise(1000 * seed + n) + step * (n < changed)) for n in range(100)]
+        trends = [each for each in fit_trends(every) if each is not None]
+        found += sum(AT in [step.at for step in each.steps] for each in trends[:changed])
+        false += sum(len(each.steps) for each in trends[changed:])
+        false += sum(each.drifts for each in trends[changed:])
+    assert false <= 3
+    assert found >= 0.9 * 20 * changed
+
+
 def test_a_step_is_found_where_it_is_with_a_true_uncertainty() -> None:
     covered = 0
     for seed in range(100):
