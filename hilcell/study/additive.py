@@ -24,6 +24,8 @@ from hilcell.study.inference import SAME
 class Additive:
     """The additive model of points (N, one or more), whose figures may stand beside one another."""
 
+    caution = 0.5  # power of leverage by which its residuals grow: HC2
+
     def __init__(self, factors: Sequence[Factor], points: Sequence[Point]) -> None:
         self._factors = factors
         widths = [1 if each.is_range else len(each.ends) for each in factors]
@@ -155,6 +157,8 @@ class Crossed:
 
     Only what products add to the model is decomposed: there are many pairs of factors.
     """
+
+    caution = 1.0  # HC3: few points show what two levels do together
 
     def __init__(self, model: Additive, n: int, other: int) -> None:
         self._model, self._n, self._other = model, n, other

@@ -10,9 +10,9 @@ A design that was not done on every machine with every set of targets beats no o
 An effect is a contrast of an additive model (`additive`). Where not every combination was done,
 other combinations would give another effect, on all machines alike: two factors act together. The
 machines cannot show that, so its variance is added: that of the points' residuals which machines
-share, each by its leverage (clusters in two ways: Cameron, Gelbach and Miller 2011; HC2: MacKinnon
-and White 1985). A step is shown where the risk that any of its table is shown by chance is at most
-5 % (Holm 1979).
+share, each by its leverage (clusters in two ways: Cameron, Gelbach and Miller 2011; HC2, of
+interactions HC3: MacKinnon and White 1985). A step is shown where the risk that any of its table is
+shown by chance is at most 5 % (Holm 1979).
 """
 
 from __future__ import annotations
@@ -632,10 +632,10 @@ class _Fitted(Generic[Model]):
     def __init__(self, of: _Fits, models: Sequence[Model]) -> None:
         self._of, self._models = of, models
         self._freedom = float(max(each.freedom for each in models))
-        self._rests = np.zeros_like(of.figures)  # by leverage: HC2
+        self._rests = np.zeros_like(of.figures)  # by leverage
         for n, (own, model) in enumerate(zip(of.patterns, models, strict=True)):
             free = 1.0 - model.leverage
-            scale = np.where(free > 1e-6, 1.0 / np.sqrt(np.maximum(free, 1e-6)), 0.0)
+            scale = np.where(free > 1e-6, np.maximum(free, 1e-6) ** -model.caution, 0.0)
             for figures, rests in zip(of.figures, self._rests, strict=True):
                 at = np.ix_(own, of.pattern_of == n)
                 rests[at] = model.rest(figures[at]) * scale[:, None]
@@ -756,7 +756,7 @@ class _Gaps:
     def help(self) -> str:
         if (waiting := self.study.most_cases - sum(self.counts.values())) > 0:
             return f"Cases that are not measured yet: {waiting}."
-        if self.study.samples is not None:
+        if self.study.samples is not None and self.study.samples == self.study.different:
             unknowns = 1 + sum(1 if f.is_range else len(f.ends) - 1 for f in self.study.factor)
             wanted = max(2 * self.study.samples, 1 << (2 * unknowns - 1).bit_length())
             return f"More samples would help, {wanted} for example."

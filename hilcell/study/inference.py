@@ -148,10 +148,6 @@ class Within(msgspec.Struct, frozen=True):
         answer: Literal["yes", "not shown yet"] = "not shown yet" if more else "yes"
         return cls(machines, within, low, high, answer, more, tolerance_mm)
 
-    def text(self) -> str:
-        more = f": {self.more} machines more if all hold" if self.more else ""
-        return f"{self.answer}{more}"
-
 
 @cache
 def _binomial(

@@ -109,7 +109,8 @@ class Summary:
             *self._design_columns(0),
             Column("within", lambda row: _within(row.within), form="s"),
             Column("share at least", lambda row: 100.0 * _low(row.within), "%", ".1f"),
-            Column("answer", lambda row: row.within.text() if row.within else None),
+            Column("answer", lambda row: row.within.answer if row.within else None, form="s"),
+            Column("more", lambda row: row.within.more or None if row.within else None),
             Column("if normal", lambda row: _tolerance(row.within), "mm", "s"),
         ]
         if self.found.by_truth:
@@ -121,7 +122,8 @@ class Summary:
             f"{100.0 * asked.confidence:g} % sure?"
         )
         note = (
-            "Within: machines of those that were tried; one that failed is not. The share is exact "
+            "Within: machines of those that were tried; one that failed is not. More: machines "
+            "that show a yes if all of them hold. The share is exact "
             "for any distribution (Clopper and Pearson), of each design by itself: the best of "
             "many was lucky as well, so measure it in a study of its own. If normal: the limit "
             "that the share would keep (one-sided tolerance limit)."

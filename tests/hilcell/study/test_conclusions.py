@@ -175,7 +175,7 @@ def test_a_failed_machine_is_not_within(tmp_path: Path) -> None:
     assert [(each.within, each.machines) for each in judged if each] == [(4, 4), (3, 4)] * 2
     sheet = Summary(asked, failing_far(asked)).question()
     at = sheet.headers.index("answer")
-    assert {row[at] for row in sheet.texts()} == {"not shown yet: 55 machines more if all hold"}
+    assert {(row[at], row[at + 1]) for row in sheet.texts()} == {("not shown yet", "55")}
     facts = said(Summary(asked, failing_far(asked)))["designs"][0]["question"]
     assert (facts["machines"], facts["within"], facts["more"]) == (4, 4, 55)
     assert "0.15 mm" in page(Summary(asked, failing_far(asked)))
