@@ -82,7 +82,7 @@ class Database:
                     from hilcell.plant import deadlines  # loads psycopg
 
                     order_s = deadlines.MIGRATION_S if migrating else deadlines.ORDER_S
-                    deadlines.limit(connection, order_s)
+                    deadlines.limit(connection, order_s, as_text=migrating)
                 yield connection
         except exc.SQLAlchemyError as error:
             raise self._error(error) from None  # SQLAlchemy's message has the values of all rows

@@ -547,7 +547,7 @@ def worse_stations(connection: Connection, cell: str = "", robot: str = "") -> l
         .where(RUN.c.newest, VERDICT.c.key.startswith(VALIDATION), VERDICT.c.mean_mm.is_not(None))
         .where(VERDICT.c.key != f"{VALIDATION}{OTHERS}", *selected(cell, robot))
     )  # fmt: skip
-    columns: Sequence[Sequence[Any]] = list(zip(*connection.execute(query), strict=True))
+    columns: Sequence[Sequence[Any]] = list(zip(*connection.execute(query).all(), strict=True))
     if not columns:
         return []
     places = list(zip(*columns[:4], strict=True))

@@ -58,7 +58,7 @@ def test_a_store_keeps_each_number_to_its_last_digit(
 ) -> None:
     """Its tables are those of the migrations; what is read back has the digest of what was kept."""
     database: Database = request.getfixturevalue(kind)
-    with database.transaction() as connection:
+    with database.transaction(migrating=True) as connection:
         context = MigrationContext.configure(connection)
         assert compare_metadata(context, TABLES) == []
         config = Config()
