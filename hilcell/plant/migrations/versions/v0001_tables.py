@@ -28,8 +28,10 @@ STORED = "ALTER TABLE grid ALTER places_mm SET STORAGE EXTERNAL, ALTER errors_mm
 ON_POSTGRESQL = (
     FUNCTION,
     "REVOKE EXECUTE ON FUNCTION plant_newest() FROM PUBLIC",
-    "CREATE TRIGGER run_newest AFTER INSERT OR UPDATE OF accepted ON run "
-    "FOR EACH ROW EXECUTE FUNCTION plant_newest()",
+    (
+        "CREATE TRIGGER run_newest AFTER INSERT OR UPDATE OF accepted ON run "
+        "FOR EACH ROW EXECUTE FUNCTION plant_newest()"
+    ),
     STORED,
 )
 ON_SQLITE = tuple(
