@@ -41,6 +41,7 @@ from hilcell.study.study_file import BOUND, Optimum, Study
 
 MEASURED, MINUTES, COVERED, DECIDES = range(4)  # figures of points
 UNKNOWN = Interval(math.nan, math.nan)
+ALIKE = 1e-6  # of shares that rounding sets apart; one case of a million is more
 TINY = 1e-300  # no division by nought
 TOO_LONG = 1e6  # of a design with too many minutes, which are added
 Rows = Sequence[Row]
@@ -95,7 +96,7 @@ class Design:
 
 
 class Ended(msgspec.Struct, frozen=True):
-    """How the cases of a level ended: how many have no result, on how many machines, and why."""
+    """How the cases of a level ended, on how many machines: how many have no result, and why."""
 
     cases: int = 0
     failed: int = 0
@@ -106,6 +107,11 @@ class Ended(msgspec.Struct, frozen=True):
     @property
     def without(self) -> int:
         return self.failed + self.cannot_be
+
+    @property
+    def failed_share(self) -> float:
+        """Return how many failed of those that ran, 0 to 1."""
+        return self.failed / max(1, self.cases - self.cannot_be)
 
     @classmethod
     def of(cls, rows: Rows) -> Ended:
@@ -137,7 +143,7 @@ class Effect:
     covered: Share
     ended: Ended
     start_ended: Ended
-    failing: float  # share of machines more on which it fails, all else averaged; or NaN
+    failing: float  # share of cases that fail, more than at the start, all else averaged; or NaN
     p_holm: float = 1.0  # corrected for all steps
     depends_on: tuple[str, ...] = ()  # factors that the change is shown to depend on
 
@@ -151,12 +157,21 @@ class Effect:
 
     @property
     def fails(self) -> bool:
-        """Whether it fails on more machines than its start: half of one more, all else averaged."""
-        return self.failing * self.ended.all_machines >= 0.5
+        """Whether more cases fail than at its start, all else averaged.
+
+        Of a step that would be a gain it is enough that a greater share of its own cases failed.
+        """
+        more = self.ended.failed_share - self.start_ended.failed_share > ALIKE
+        return self.failing > ALIKE or (more and self._less)
 
     @property
     def gains(self) -> bool:
-        return self.p_holm <= SHOWN and self.deciding.mean < 0.0 and not self.fails
+        return self._less and not self.fails
+
+    @property
+    def _less(self) -> bool:
+        """Whether the error is shown to fall."""
+        return self.p_holm <= SHOWN and self.deciding.mean < 0.0
 
     @property
     def shown(self) -> str:
@@ -334,7 +349,7 @@ def _design(study: Study, own: Rows, decides: str) -> tuple[Design, Array]:
     bound_mm = math.nan if None in bounds else fmean(each or 0.0 for each in bounds)
     judged: list[Within | None] = [None, None]
     if (asked := study.question) is not None:
-        every = by_number(own, "machine").values()
+        every = [each for each in by_number(own, "machine").values() if len(each) == study.seeds]
         judged = [
             Within.of(
                 np.array([_worst(each, figure) for each in every]),
@@ -361,7 +376,8 @@ def _with_front(found: Sequence[Design], figures: Sequence[Array]) -> list[Desig
     """Return designs with those on the front, and the equals there; figures are by machine.
 
     A design is not shown to beat one that is as quick and as cheap unless the differences of their
-    machines show it, at one of all other designs: the best of many was lucky as well.
+    machines show it, at one of all other designs: the best of many was lucky as well. One machine
+    alone judges none.
     """
     able = [n for n, each in enumerate(found) if each.whole]
     places = np.array(
@@ -373,7 +389,7 @@ def _with_front(found: Sequence[Design], figures: Sequence[Array]) -> list[Desig
     marked = list(found)
     for at, n in enumerate(front):
         own, equal = found[n], None
-        for other in front[:at]:
+        for other in front[:at] if len(figures[n]) > 1 else ():
             gain = figures[other] - figures[n]
             one_sided = 0.5 * p_value(gain) if gain.mean() > 0.0 else 1.0
             cheaper = found[other].point.cost <= own.point.cost
@@ -717,7 +733,7 @@ class _Gaps:
 
     def mixed(self) -> Iterator[str]:
         designs, unknowns = len(self.done), self.model.unknowns
-        few = f" (designs: {designs}, unknowns: {unknowns})" * (designs < unknowns)
+        few = f" ({designs} designs for {unknowns} fitted figures)" * (designs < unknowns)
         for group in self.model.inseparable():
             names = _listed([self.study.factor[n].title for n in group], "and")
             yield (

@@ -123,14 +123,14 @@ def cases(study: Study) -> Iterator[Case]:
     if study.optimise is not None:
         yield from (case for point in found for case in cases_at(study, point))
         return
-    runs = itertools.product(range(1, study.machines + 1), range(1, study.seeds + 1))
+    runs = itertools.product(study.numbers, range(1, study.seeds + 1))
     drawn = ((point, *run) for run in runs for point in found)
     yield from (Case(number, *each) for number, each in enumerate(drawn, start=1))
 
 
 def cases_at(study: Study, point: Point) -> list[Case]:
     """Return the cases of an optimiser's point: the same machines and seeds at each."""
-    runs = itertools.product(range(1, study.machines + 1), range(1, study.seeds + 1))
+    runs = itertools.product(study.numbers, range(1, study.seeds + 1))
     first = 1 + (point.number - 1) * study.machines * study.seeds
     return [Case(first + n, point, *run) for n, run in enumerate(runs)]
 

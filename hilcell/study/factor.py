@@ -93,7 +93,7 @@ class Distribution(Frozen, frozen=True, kw_only=True):
         wanted = KINDS.get(self.kind)
         if wanted is None:
             hint = did_you_mean(self.kind, KINDS) or f"; known: {', '.join(KINDS)}"
-            yield f"kind: {self.kind!r} is none{hint}"
+            yield f"kind: {self.kind!r} is no distribution{hint}"
             return
         for key in PARAMETERS:
             stated = is_stated(self, attrgetter(key))

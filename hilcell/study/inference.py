@@ -51,11 +51,13 @@ class Interval(msgspec.Struct, frozen=True):
         return self.half >= 0.0 and abs(self.mean) > max(self.half, SAME)
 
     def text(self, sign: float = 1.0) -> str:
-        """Return the figure with its interval, where it has one; a dash for none."""
+        """Return the figure with its interval, where it has one; a dash for what is not known."""
         if math.isnan(self.mean):
             return NONE
         shown = f"{sign * self.mean:z.4f}".replace("-", "−")  # z: no -0
-        return shown if math.isnan(self.half) else f"{shown} ± {self.half:.4f}"
+        if math.isnan(self.half):
+            return shown
+        return f"{shown} ± {NONE if math.isinf(self.half) else f'{self.half:.4f}'}"
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -110,8 +112,9 @@ class Share(msgspec.Struct, frozen=True):
         """Return the share in %, with its interval; a dash for none."""
         if math.isnan(self.mean):
             return NONE
-        low, high = (f"{100.0 * end:.1f}" for end in self.ends)
-        return f"{100.0 * self.mean:.1f}" + (f" ({low} .. {high})" if low != high else "")
+        # Rounded twice: 93.75 and 93.74999999999999 are one figure.
+        mean, low, high = (f"{round(100.0 * each, 9):.1f}" for each in (self.mean, *self.ends))
+        return mean + (f" ({low} .. {high})" if low != high else "")
 
     @property
     def ends(self) -> tuple[float, float]:

@@ -91,6 +91,7 @@ class Study(Frozen, frozen=True, kw_only=True):
     samples: Annotated[int, Meta(ge=2, le=65_536)] | None = None
     optimise: Optimum | None = None
     machines: Many = 4
+    first_machine: Annotated[int, Meta(ge=1, le=1_000_000)] = 1
     seeds: Many = 1
     accuracy: str = "mean_mm"
     question: Question | None = None
@@ -122,6 +123,11 @@ class Study(Frozen, frozen=True, kw_only=True):
         if self.optimise is not None:
             points = self.optimise.trials
         return points * self.machines * self.seeds
+
+    @property
+    def numbers(self) -> range:
+        """The numbers of the machines, each the seed of its errors."""
+        return range(self.first_machine, self.first_machine + self.machines)
 
     @property
     def different(self) -> int | None:
@@ -187,7 +193,7 @@ class Study(Frozen, frozen=True, kw_only=True):
         columns = ("case", "point", "machine", "seed", "state", "reason", "minutes", "cost")
         for name in names:
             if name in (*RESULTS, *columns):
-                yield f"factor: the name {name!r} is one of a result"
+                yield f"factor: the name {name!r} is that of a column of results; choose another"
 
     def _settings_apart(self) -> Iterator[str]:
         readable = [each for each in self.factor if is_read(each, lambda it: it.settings_named)]
@@ -345,4 +351,4 @@ def _twice(kind: str, words: Sequence[str]) -> Iterator[str]:
 
 
 def _unknown(name: str, known: Sequence[str] = tuple(RESULTS)) -> str:
-    return f"{name!r} is none{did_you_mean(name, known) or '; known: ' + ', '.join(known)}"
+    return f"{name!r} is no result{did_you_mean(name, known) or '; known: ' + ', '.join(known)}"

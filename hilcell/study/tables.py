@@ -10,6 +10,7 @@ from operator import attrgetter, itemgetter
 from typing import TypeVar
 
 from hilcell.present.table import Column, Table
+from hilcell.sanitize import counted
 from hilcell.study.analysis import Design, Effect, Interaction, Rows, answers, brief, kind, whole
 from hilcell.study.case import CANNOT_BE, DONE, FAILED, RESULTS
 from hilcell.study.design import Case
@@ -63,6 +64,12 @@ class Summary:
             columns.append(Column(study.money, attrgetter("point.cost"), form="g"))
         return [*columns, *self._errors()[:errors]]
 
+    @property
+    def _error(self) -> str:
+        """The error that decides, in words."""
+        figure = self.study.accuracy[:-3].removeprefix("true_")
+        return f"{figure} {'true ' if self.found.by_truth else ''}error"
+
     def _errors(self) -> list[Column[Design]]:
         """Return the columns of the accuracy: the truth where it is known, then as measured."""
         return self._accuracies(lambda row: row.accuracy.text(), lambda row: row.truth.text())
@@ -84,27 +91,37 @@ class Summary:
         if best is None or wanted is None:
             return Table((), ())
         tried = [best, *(each for each in found.designs if each.point.number == 1 and each != best)]
-        goal = [f"{study.accuracy[:-3]} error"]
+        goal = [self._error]
         if wanted.mm_per_minute:
             goal.append(f"{wanted.mm_per_minute:g} mm a minute")
         most = f", in at most {wanted.most_minutes:g} minutes" if wanted.most_minutes else ""
         note = (
-            f"The least {' + '.join(goal)}{most}, of {len(found.designs)} designs that were tried; "
+            f"The least {' + '.join(goal)}{most}, of {counted(len(found.designs), 'design')}; "
             "then the design that the search began with. The best of many was lucky as well: "
-            "measure it again in a study with more machines."
+            "measure it again on new machines (`first_machine`)."
         )
         return Table(self._design_columns(), tried, "Best design found", note)
 
     def question(self) -> Table:
-        """Return the answers to the buyer's question: of the front, and of all that say yes."""
+        """Return the answers to the buyer's question: of the front, and of all that say yes.
+
+        Where no design is on the front, those with the most machines within.
+        """
         asked = self.study.question
         if asked is None:
             return Table((), ())
-        listed = [
-            each
-            for each in self.found.designs
-            if each.within and (each.on_front or each.within.answer == "yes")
-        ]
+        judged = [(each, each.within) for each in self.found.designs if each.within]
+        if self.found.front:
+            which = "the Pareto front, and every design with a yes"
+            listed = [each for each, own in judged if each.on_front or own.answer == "yes"]
+            listed.sort(key=attrgetter("minutes"))
+        else:
+            most = 10
+            which = (
+                f"no design was done on every machine, so the {most} with the most machines within"
+            )
+            judged.sort(key=lambda pair: (-pair[1].within, pair[0].minutes))
+            listed = [each for each, _ in judged[:most]]
         columns: list[Column[Design]] = [
             *self._design_columns(0),
             Column("within", lambda row: _within(row.within), form="s"),
@@ -118,17 +135,20 @@ class Summary:
                 Column("within as measured", lambda row: _within(row.measured_within), form="s")
             )
         title = (
-            f"Question: are {100.0 * asked.share:g} % of machines within {asked.limit_mm:g} mm, "
-            f"{100.0 * asked.confidence:g} % sure?"
+            f"Question: do {100.0 * asked.share:g} % of machines have a {self._error} within "
+            f"{asked.limit_mm:g} mm, {100.0 * asked.confidence:g} % sure?"
         )
         note = (
-            "Within: machines of those that were tried; one that failed is not. More: machines "
-            "that show a yes if all of them hold. The share is exact "
-            "for any distribution (Clopper and Pearson), of each design by itself: the best of "
-            "many was lucky as well, so measure it in a study of its own. If normal: the limit "
-            "that the share would keep (one-sided tolerance limit)."
+            f"Listed: {which}. Within: machines within the limit, of those that were measured with "
+            "every set of targets; a machine on which the design failed is not within. More: so "
+            "many further machines would give a yes if all of them were within. Do not add "
+            "machines until it says yes: ask again on new machines (`first_machine`), with the "
+            "number fixed ahead. Share at least: exact for any distribution (Clopper and Pearson), "
+            "of each design by itself. The best of many designs was lucky as well: measure it in a "
+            "study of its own. If normal: the limit that this share of machines keeps if they are "
+            "normally distributed."
         )
-        return Table(columns, sorted(listed, key=attrgetter("minutes")), title, note)
+        return Table(columns, listed, title, note)
 
     def front(self) -> Table:
         """Return the designs that no other beats in everything, the fastest first."""
@@ -144,16 +164,16 @@ class Summary:
         against = "accuracy, minutes and money" if study.has_costs else "accuracy and minutes"
         note = f"Of {able} designs these are beaten by no other in {against}. " if able > 1 else ""
         if without:
-            note += f"Not done on every machine, so not compared: {without} designs. "
+            note += f"Not done on every machine, so not compared: {counted(without, 'design')}. "
         if not able:
             note = "No design was done on every machine with every set of targets. "
         if any(each.equal_to for each in found.front):
             note += (
-                "No better than: a quicker or cheaper design, which it is not shown to beat: its "
-                f"machines' differences are judged at {100.0 * SHOWN:g} %, as one of all designs. "
+                "No better than: a quicker or cheaper design that it is not shown to beat; the "
+                f"risk that a design goes unmarked by chance is at most {100.0 * SHOWN:g} %. "
             )
         note += f"{RESULTS[study.accuracy][0].capitalize()}, with the 95 % interval of the mean."
-        note += " One machine: where a machine more lies, 95 % sure, if machines are normal."
+        note += " One machine: where the one that you buy lies, 95 % sure, if machines are normal."
         return Table(columns, found.front, "Pareto front", note + self._one_machine())
 
     def certificates(self) -> Table:
@@ -197,9 +217,13 @@ class Summary:
         steps = len(purchases)
         note = (
             "Gain: by how much the error falls when this factor alone changes, all else averaged. "
-            f"Shown: at {100.0 * SHOWN:g} % for all {steps} steps together (Holm); fails: on more "
-            "machines, all else averaged."
+            f"Shown: for {counted(steps, 'step')} together, the risk that chance shows one is at "
+            f"most {100.0 * SHOWN:g} %, if the machines' differences are normal (Holm). Fails: "
+            "more cases fail than at the first level, all else averaged; of a step that would be a "
+            "gain, also where a greater share of its own cases failed."
         )
+        if any(math.isinf(each.deciding.half) for each in purchases):
+            note += f" ± {NONE}: no design is left over to check whether effects add up."
         if any(each.word != each.start and not each.is_step for each in self.found.effects):
             note += " Steps that the cases cannot separate are left out; main effects say why."
         return Table(columns, purchases, "Buy next", note + self._one_machine() + _kinds(ended))
@@ -218,9 +242,12 @@ class Summary:
             Column("shown", lambda row: "yes" if row.known else "no", form="s"),
         ]
         note = (
-            f"The clearest of {len(found)} that were tested; shown at {100.0 * SHOWN:g} % for all "
-            "together (Holm). Where one is shown, the gain of Buy next is an average only."
+            f"The clearest of {len(found)} that were tested; the risk that chance shows any is at "
+            f"most {100.0 * SHOWN:g} % (Holm). Where one is shown, the gain of Buy next is an "
+            "average only."
         )
+        if any(math.isinf(each.difference.half) for each in found[:10]):
+            note += f" ± {NONE}: no design is left over to check whether effects add up."
         return Table(columns, found[:10], "Interactions", note)
 
     def effects(self) -> Table:
@@ -248,11 +275,12 @@ class Summary:
         found = self.found
         if found.unknowns == 1:  # nothing varies
             return ""
-        counts = f"(designs: {len(found.designs)}, unknowns: {found.unknowns})"
+        designs = counted(len(found.designs), "design")
+        counts = f"({designs}, {counted(found.unknowns, 'fitted figure')})"
         if math.isnan(found.share):
             return f"Whether effects add up is not checked, as there are too few designs {counts}. "
         share = f"{100.0 * found.share:.1f} % of the differences between designs"
-        apart = f"a design is up to {found.apart_mm:.4f} mm from their sum"
+        apart = f"the largest difference between a design and their sum is {found.apart_mm:.4f} mm"
         return f"Main effects alone explain {share} {counts}; {apart}. "
 
     def _reasons(self) -> Table:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +19,7 @@ from hilcell.study.analysis import answers, front_of
 from hilcell.study.case import Row
 from hilcell.study.design import Case
 from hilcell.study.html import page
-from hilcell.study.inference import Interval, OneMachine, Within, holm, tolerance_limit
+from hilcell.study.inference import Interval, OneMachine, Share, Within, holm, tolerance_limit
 from hilcell.study.study_file import Study
 from hilcell.study.tables import Summary
 from tests.hilcell.study.studies import TWO_FACTORS, study
@@ -85,6 +86,53 @@ def test_a_level_that_fails_is_no_gain(tmp_path: Path) -> None:
     assert step(asked, failing_far(asked), "readings")["shown"] == "no"
     sheet = Summary(asked, failing_far(asked)).purchases()
     assert [row[-1] for row in sheet.texts()] == ["1 of 8 → 1 of 8", "0 of 8 → 2 of 8"]
+
+
+def three_factors(folder: Path) -> Study:
+    """Return a study of 27 designs on four machines."""
+    return study(folder, THREE_LEVELS.rpartition("[[factor]]")[0], FOUR)
+
+
+def fails_together(row: Row) -> bool:
+    return (row.levels["a"], row.levels["b"], row.levels["c"]) == (9, 225.0, 8)
+
+
+@pytest.mark.parametrize("machines", [4, 1])
+def test_a_step_into_one_design_that_fails_is_no_gain(tmp_path: Path, machines: int) -> None:
+    """One of 27 designs fails, on all machines or on one: 1 of 36 cases is enough."""
+    asked = three_factors(tmp_path)
+    found = [
+        ended(row, "failed", "slide off")
+        if fails_together(row) and row.machine <= machines
+        else row
+        for row in rows(asked, lambda c: 0.1 - 0.03 * shares(c)[0] + 1e-4 * c.machine)
+    ]
+    steps = said(Summary(asked, found))["buy_next"]
+    shown = {(each["factor"], each["level"]): each["shown"] for each in steps}
+    assert shown == {
+        ("a", "5"): "gain", ("a", "9"): "fails", ("b", "300"): "no", ("b", "225"): "fails",
+        ("c", "4"): "no", ("c", "8"): "fails",
+    }  # fmt: skip
+
+
+def test_a_gain_whose_own_cases_fail_more_is_no_gain(tmp_path: Path) -> None:
+    """Failures are of b, of which a Sobol design has more beside one level of a than the other."""
+    asked = study(tmp_path, THREE_LEVELS, THIRTY_TWO)
+    found = rows(asked, lambda c: 0.1 - 0.03 * shares(c)[0] + 1e-4 * c.machine)
+    (gain,) = (each for each in answers(asked, found).purchases if each.word == "5")
+    assert gain.shown == "gain"
+    worse = dataclasses.replace(gain, ended=replace(gain.ended, failed=2))
+    assert worse.failing <= 0.0
+    assert worse.shown == "fails"
+    assert not worse.gains
+
+
+def test_rounding_is_no_failure(tmp_path: Path) -> None:
+    """Both levels fail alike: 0.12499999 and 0.125 are one share."""
+    asked = study(tmp_path, head=FOUR)
+    (readings,) = (e for e in answers(asked, failing_far(asked)).purchases if e.word == "5")
+    assert not dataclasses.replace(readings, failing=1e-8).fails
+    assert dataclasses.replace(readings, failing=1e-4).fails
 
 
 def test_without_a_design_on_every_machine_there_is_no_front(tmp_path: Path) -> None:
@@ -179,6 +227,28 @@ def test_a_failed_machine_is_not_within(tmp_path: Path) -> None:
     facts = said(Summary(asked, failing_far(asked)))["designs"][0]["question"]
     assert (facts["machines"], facts["within"], facts["more"]) == (4, 4, 55)
     assert "0.15 mm" in page(Summary(asked, failing_far(asked)))
+
+
+def test_a_machine_is_judged_with_all_its_targets_only(tmp_path: Path) -> None:
+    """Machine 59 has one set of targets only, machine 60 none: 58 machines are judged."""
+    asked = study(tmp_path, head=f"machines = 60\nseeds = 2\n{ASKED}")
+    found = [row for row in rows(asked, lambda c: 0.05) if (row.machine, row.seed) < (59, 2)]
+    judged = [each.within for each in answers(asked, found).designs]
+    assert {(each.machines, each.within, each.answer) for each in judged if each} == {
+        (58, 58, "not shown yet")
+    }
+    sheet = Summary(asked, found).question()
+    assert len(sheet.texts()) == 4
+    assert "most machines within" in sheet.note
+
+
+def test_without_a_whole_design_the_best_so_far_are_listed(tmp_path: Path) -> None:
+    asked = study(tmp_path, head=f"{FOUR}\n{ASKED}")
+    found = rows(asked, lambda c: 0.05 + 0.1 * (c.point.number == 1))[:12]
+    sheet = Summary(asked, found).question()
+    assert [row[0] for row in sheet.texts()] == ["2", "3", "4", "1"]
+    assert "mean true error" not in sheet.title
+    assert "mean error" in sheet.title
 
 
 @pytest.mark.parametrize("key", ["limit_mm = 0.0", "share = 1.0", "confidence = 1.5"])
@@ -291,6 +361,11 @@ def test_points_that_leave_nothing_to_check_by_show_nothing(tmp_path: Path) -> N
         row if row.point < 4 else ended(row, "cannot be", "out of reach") for row in measured
     ])  # fmt: skip
     assert [each.shown for each in found.purchases] == ["no", "no"]
+    assert found.purchases[0].change.text(-1.0) == "0.0200 ± –"
+
+
+def test_a_share_is_rounded_one_way() -> None:
+    assert {Share.of([each], 16.0).text() for each in (0.9375, 0.9375 - 1e-15)} == {"93.8"}
 
 
 def test_holm_is_holm_s() -> None:
@@ -331,6 +406,13 @@ def test_equals_of_the_front_are_marked(tmp_path: Path) -> None:
     assert (marks[1], marks[3]) == (None, None)
     assert all(marks.get(number) in {1, 3} for number in (2, 4) if number in marks)
     assert marks.keys() & {2, 4}
+
+
+def test_one_machine_marks_no_equals(tmp_path: Path) -> None:
+    asked = study(tmp_path, head="machines = 1")
+    summary = Summary(asked, rows(asked, lambda c: 0.1 - 0.01 * c.point.number))
+    assert [each.equal_to for each in summary.found.front] == [None] * 4
+    assert "no better than" not in summary.front().headers
 
 
 @pytest.mark.parametrize("seed", range(4))

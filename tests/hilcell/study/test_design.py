@@ -32,6 +32,7 @@ setting = "sweeps.enabled"
 levels = [false, true]
 minutes = [0, 30]
 """
+OPTIMISE = 'design = "optimise"\noptimise = { trials = 8, most_minutes = 90.0 }\n'
 SOBOL = 'design = "sobol"\nsamples = 16\nmachines = 3\nseeds = 2'
 
 
@@ -48,6 +49,25 @@ def test_all_points_come_on_the_first_machine_first(tmp_path: Path) -> None:
     assert [each.machine for each in found] == [1] * 8 + [2] * 8
     assert [each.seed for each in found[:8]] == [1] * 4 + [2] * 4
     assert [each.point.number for each in found[:4]] == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("design", ["", OPTIMISE])
+def test_a_second_study_has_new_machines(tmp_path: Path, design: str) -> None:
+    """Its machines are numbered on; its cases are numbered from 1, and at the same points."""
+    old = [*cases(study(tmp_path, head=f"{design}machines = 3"))]
+    new = [*cases(study(tmp_path, head=f"{design}machines = 3\nfirst_machine = 4"))]
+    assert {each.machine for each in old} == {1, 2, 3}
+    assert [(each.number, each.machine, each.point, each.seed) for each in new] == [
+        (each.number, each.machine + 3, each.point, each.seed) for each in old
+    ]
+
+
+@pytest.mark.parametrize("number", [0, -1])
+def test_machines_are_numbered_from_1(tmp_path: Path, number: int) -> None:
+    head = f"first_machine = {number}"
+    assert refused(tmp_path, RANGES.partition('[[factor]]\nname = "x"')[0], head) == [
+        "first_machine"
+    ]
 
 
 def test_a_sobol_design_fills_its_ranges(tmp_path: Path) -> None:

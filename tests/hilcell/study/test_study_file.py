@@ -58,7 +58,7 @@ def test_a_study_is_read(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_the_shipped_examples_are_sound(path: Path) -> None:
-    assert len(EXAMPLES) == 3
+    assert len(EXAMPLES) == 4
     asked = read_study(path)
     assert asked.name == path.stem
     for point in points(asked):
