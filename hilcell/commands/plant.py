@@ -150,8 +150,10 @@ def _metrics(cells: Sequence[CellState]) -> str:
 
 
 def _label(text: str) -> str:
-    escapes = str.maketrans({"\\": "\\\\", '"': '\\"'})
-    return harmless(text).translate(escapes)
+    """Return a text as the value of a label, so that different texts stay different."""
+    visible = (each if harmless(each) == each else f"\\u{ord(each):04x}" for each in text)
+    doubled = (each if len(each) > 1 or each != "\\" else "\\\\" for each in visible)
+    return "".join(doubled).translate(str.maketrans({"\\": "\\\\", '"': '\\"'}))
 
 
 METRICS: tuple[tuple[str, str, Callable[[CellState], float | None]], ...] = (
@@ -175,7 +177,9 @@ def _print_overview(overview: Overview) -> None:
     print_table(Table(STEPS, [(each, step) for each in robots for step in each.changes]))
     print_table(Table(STATIONS, overview.stations))
     print_table(Table(INSTRUMENTS, overview.instruments))
-    print_table(Table(ALARMS, overview.alarms))
+    print_table(Table(ALARMS, overview.alarms[:MOST_ALARMS]))
+    if (more := len(overview.alarms) - MOST_ALARMS) > 0:
+        print_data(f"{more} more kinds of alarms, which are rarer; --json has all")
     for doubt in overview.doubts:
         print_data(harmless_lines(f"note: {doubt}"))
 
@@ -308,6 +312,7 @@ INSTRUMENTS: tuple[Column[Instrument], ...] = (
     Column("u", attrgetter("u_ppm"), "ppm", ".1f"),
     Column("disagrees with", lambda each: ", ".join(each.disagrees_with)),
 )
+MOST_ALARMS = 50  # in the table
 ALARMS: tuple[Column[AlarmCount], ...] = (
     Column("alarm", attrgetter("code")),
     Column("title", attrgetter("title")),

@@ -7,6 +7,7 @@ transaction, after its file is on the disk and was read back.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import io
 import json
@@ -15,7 +16,7 @@ import secrets
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +48,11 @@ def archive(database: Database, before: datetime, folder: Path) -> Moved:
 
     Raises `PlantUnavailable`, `PlantError`, and `NotWritten` where the folder cannot be written.
     """
+    if not before <= (now := datetime.now(UTC)):
+        raise PlantError(
+            f"plant archive: expected a day before {now:%Y-%m-%d}, got {before:%Y-%m-%d}: points "
+            "of runs to come would be moved as well"
+        )
     with as_not_written(folder):
         folder.mkdir(parents=True, exist_ok=True)
     points = select(POINT.c.seq).where(POINT.c.digest == RUN.c.digest).exists()
@@ -142,6 +148,8 @@ def _content(run: Row, kept: Row, folder: Path | None) -> bytes:
     path = folder / f"{run['digest'].hex}.parquet"  # not a path that the database names
     restore = "restore it from a backup of the archive"
     try:
+        if path.exists() and not path.is_file():
+            raise OSError(errno.EINVAL, "it is not a regular file")
         content = path.read_bytes()
     except OSError as error:
         raise Changed(

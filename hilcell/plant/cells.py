@@ -237,8 +237,19 @@ def inconsistencies(
     """
     of = _Inconsistencies(connection)
     checks = (of.serials, of.robots, of.namesakes, of.logins, of.at_once, of.held, of.set_back)
-    every = (*left_out, *(each for check in checks for each in check()))
+    every = (*_by_cell(left_out), *(each for check in checks for each in check()))
     return list(dict.fromkeys(text for names, text in every if not {*cells}.isdisjoint(names)))
+
+
+def _by_cell(left_out: Iterable[Doubt]) -> Iterator[Doubt]:
+    """Yield one doubt for each cell with runs that were left out."""
+    by_cell: defaultdict[str, dict[str, None]] = defaultdict(dict)
+    for (cell,), text in left_out:
+        by_cell[cell][text] = None  # a run may be left out of several answers
+    for cell, texts in by_cell.items():
+        first, *others = texts
+        more = f"; {counted(len(others), 'more record')} of this cell too" if others else ""
+        yield [cell], f"{first}{more}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,11 +306,15 @@ class _Inconsistencies:
 
     def logins(self) -> Iterator[Doubt]:
         """Yield names of cells that several logins ship."""
-        query = select(CLAIM).order_by(CLAIM.c.cell, CLAIM.c.serial)
+        ships = RUN.c.newest, RUN.c.cell == CLAIM.c.cell, RUN.c.serial == CLAIM.c.serial
+        query = select(CLAIM).where(select(RUN.c.digest).where(*ships).exists())
+        query = query.order_by(CLAIM.c.cell, CLAIM.c.serial)
         for (cell,), rows in grouped(self.connection, query, "cell").items():
             if len({row.login for row in rows}) > 1:
+                most = 3
                 of = ", ".join(f"{clean(row.login)} (serial number {clean(row.serial)})"
-                               for row in rows)  # fmt: skip
+                               for row in rows[:most])  # fmt: skip
+                of += f" and {len(rows) - most} more" if len(rows) > most else ""
                 text = f"cell {clean(cell)} is shipped by several logins: {of}: give each cell its "
                 yield [cell], f"{text}own name, or `hilcell plant assign` each to its login"
 

@@ -21,7 +21,7 @@ from hilcell.errors import HilcellError, StoreUnavailable
 from hilcell.journal.index import NAME as INDEX
 from hilcell.plant.rights import CELL, CELL_COLUMNS, ENGINEER, admit
 from hilcell.plant.tables import HEAD, RUN
-from hilcell.sanitize import clean
+from hilcell.sanitize import clean, counted
 
 MIGRATIONS = Path(__file__).with_name("migrations")
 POSTGRESQL = "postgresql"
@@ -165,14 +165,17 @@ class Database:
         if version != HEAD:
             raise self._refusal(
                 f"expected schema {HEAD}, got {clean(version)}; use the version of hilcell that "
-                "created it, or ship the runs again to an empty database"
+                "created it (update this one if it is older), or ship the runs again to an empty "
+                "database"
             )
 
     def _check_empty(self, connection: Connection) -> None:
         """Refuse a database with other tables, such as a run's journal."""
         others = sorted({*sa.inspect(connection).get_table_names()} - {"alembic_version"})
         if others:
-            raise self._foreign(f"it has {len(others)} tables, the first is {clean(others[0])}")
+            raise self._foreign(
+                f"it has {counted(len(others), 'table')}, the first is {clean(others[0])}"
+            )
 
     def _refusal(self, why: str) -> PlantError:
         return PlantError(f"plant database {self.name}: {why}")
@@ -215,8 +218,9 @@ class Database:
         refused = self._refusal(f"refused: {line}{damaged.get(kind, '')}")
         if getattr(cause, "sqlstate", "") == "42501":  # insufficient privilege
             return RightMissing(
-                f"{refused}; shipping needs the role {CELL}, reading the role {ENGINEER}; the "
-                "database's owner creates both with `hilcell plant init`"
+                f"{refused}; `ship` needs a login in the role {CELL}, `show` and `export` one in "
+                f"{ENGINEER}, all else the database's owner, who admits a login: "
+                f"GRANT {ENGINEER} TO NAME"
             )
         return refused
 

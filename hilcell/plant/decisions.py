@@ -77,7 +77,9 @@ def assign(connection: Connection, cell: str, serial: str | None, login: str) ->
         of = (select(table.c.serial).where(table.c.cell == cell) for table in (CLAIM, RUN))
         known = sorted(connection.execute(union(*of)).scalars())
         if len(known) != 1:
-            listed = ", ".join(map(clean, known)) or "none is known"
+            most = 5
+            more = f" and {len(known) - most} more" if len(known) > most else ""
+            listed = ", ".join(map(clean, known[:most])) + more or "none is known"
             raise HilcellError(
                 f"cell {clean(cell)}: expected --serial with its serial number; known: {listed}"
             )
@@ -106,6 +108,8 @@ def decide(connection: Connection, run: str, *, accepted: bool) -> HeldRun:
     ``run`` is a name, or at least 12 digits of a digest.
     """
     rows = connection.execute(select(RUN).where(or_(RUN.c.name == run, *_digest(run)))).all()
+    whole = run.replace("-", "").lower()  # another's run may have these digits as its name
+    rows = [row for row in rows if row.digest.hex == whole] or rows
     if accepted:
         rows = [row for row in rows if row.held]
     if len(rows) != 1:

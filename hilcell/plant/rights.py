@@ -16,12 +16,15 @@ from sqlalchemy import Connection, text
 from hilcell.plant.tables import ARCHIVE, CLAIM, DECISION, PARTS, RUN, SERVER_COLUMNS
 
 CELL, ENGINEER = "hilcell_cell", "hilcell_engineer"  # roles
-CELL_COLUMNS = ("digest", "cell_key", "run_key", "revision", "head", "shipped")  # read by cells
+CELL_COLUMNS = ("digest", "cell_key", "run_key", "revision", "head", "shipped", "inserted_in")
 _OWN_LOGIN = "login = session_user"
 _OWN_CELL = (
     "(cell, serial) IN (SELECT c.cell, c.serial FROM claim AS c WHERE c.login = session_user)"
 )
-_OWN_RUN = "EXISTS (SELECT FROM run WHERE run.digest = {part}.digest AND run.shipped = now())"
+_OWN_RUN = (
+    "EXISTS (SELECT FROM run WHERE run.digest = {part}.digest AND run.shipped >= now() "
+    "AND run.inserted_in = pg_current_xact_id()::text::bigint)"
+)
 
 
 def admit(connection: Connection) -> None:

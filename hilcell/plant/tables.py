@@ -67,7 +67,10 @@ class Vectors(sa.TypeDecorator[list[list[float]]]):
 
 TABLES = sa.MetaData()
 LONGEST = 30_000  # bytes of a text
+LONGEST_NAME = 1000  # which tables show
 LONGEST_JSON = 4 * 2**20
+LONGEST_OUTCOME = 2**18  # those of all cells are read at once
+MOST_VERTICES = 4096
 LONGEST_DOCUMENT = 64 * 2**20
 FARTHEST_MM = 1e6  # of what is averaged: sums of more would overflow
 
@@ -87,6 +90,8 @@ def _compiled(either: _Either, compiler: SQLCompiler, **_: object) -> str:
 
 
 LOGIN = _Either("session_user", "''")  # of the connection: no SET ROLE changes it
+CLOCK = _Either("clock_timestamp()", "CURRENT_TIMESTAMP")  # now() may be hours old in a transaction
+TRANSACTION = _Either("pg_current_xact_id()::text::bigint", "0")
 # A run of the future is held apart until the plant's owner accepts it, as is one that he removed.
 _AHEAD_S = CLOCK_ERROR.total_seconds()
 HELD = _Either(
@@ -126,15 +131,18 @@ def _checks(column: sa.Column[Any]) -> Iterator[str | _Either]:
             # A database in SQL_ASCII would take what is not in UTF-8.
             octets = f"octet_length(convert_to({name}, 'UTF8'))"
             yield _Either(f"{octets} <= {most}", f"length(CAST({name} AS BLOB)) <= {most}")
+            if most == LONGEST_NAME:
+                controls = "'*[' || char(1) || '-' || char(31) || char(127) || ']*'"
+                yield _Either(f"{name} !~ '[\\x01-\\x1f\\x7f]'", f"{name} NOT GLOB {controls}")
         case sa.JSON():
             kinds = ", ".join(map(repr, column.info["kinds"]))
             yield _Either(f"json_typeof({name}) IN ({kinds})", f"json_type({name}) IN ({kinds})")
             yield _Either(
-                f"octet_length(convert_to({name}::text, 'UTF8')) <= {LONGEST_JSON}",
-                f"length(CAST({name} AS BLOB)) <= {LONGEST_JSON}",
+                f"octet_length(convert_to({name}::text, 'UTF8')) <= {most or LONGEST_JSON}",
+                f"length(CAST({name} AS BLOB)) <= {most or LONGEST_JSON}",
             )
         case Vectors():
-            yield f"length({name}) % 24 = 0 AND length({name}) <= {LONGEST_JSON}"
+            yield f"length({name}) % 24 = 0 AND length({name}) <= {24 * MOST_VERTICES}"
         case sa.Double():
             most = most or sys.float_info.max
             yield f"{name} BETWEEN {-most!r} AND {most!r}"
@@ -164,6 +172,10 @@ def _text(name: str, comment: str) -> sa.Column[str]:
     return sa.Column(name, sa.Text, nullable=False, comment=comment)
 
 
+def _name(name: str, comment: str) -> sa.Column[str]:
+    return sa.Column(name, sa.Text, nullable=False, comment=comment, info={"most": LONGEST_NAME})
+
+
 def _bool(name: str, comment: str) -> sa.Column[bool]:
     return sa.Column(name, sa.Boolean, nullable=False, comment=comment)
 
@@ -184,8 +196,9 @@ def _perhaps(name: str, comment: str, most: float | None = None) -> sa.Column[fl
     return sa.Column(name, sa.Double, comment=comment, info={"most": most})
 
 
-def _json(name: str, comment: str, *kinds: str) -> sa.Column[Any]:
-    return sa.Column(name, sa.JSON, nullable=False, comment=comment, info={"kinds": kinds})
+def _json(name: str, comment: str, *kinds: str, most: int = LONGEST_JSON) -> sa.Column[Any]:
+    info = {"kinds": kinds, "most": most}
+    return sa.Column(name, sa.JSON, nullable=False, comment=comment, info=info)
 
 
 def _vectors(name: str, comment: str) -> sa.Column[list[list[float]]]:
@@ -206,11 +219,11 @@ RUN = _table(
     sa.Column("head", sa.String(64), nullable=False, comment="SHA-256 at the end of the journal's "
         "chain"),
     sa.Column("cell_key", sa.Uuid, nullable=False, comment="of cell, serial and machine"),
-    _text("name", "name of the run"),
-    _text("cell", "name of the cell"),
-    _text("serial", "serial number of the cell"),
+    _name("name", "name of the run"),
+    _name("cell", "name of the cell"),
+    _name("serial", "serial number of the cell"),
     _bool("simulated", "whether the cell is simulated"),
-    _text("machine", "which simulated machine; empty for a real cell"),
+    _name("machine", "which simulated machine; empty for a real cell"),
     _text("procedure", "such as calibrate"),
     _text("state", "finished, aborted or faulted"),
     _count("exit", "exit code of the run"),
@@ -219,15 +232,17 @@ RUN = _table(
     _time("ended", "last end, by the clock of the cell's PC"),
     _count("points", "points that count"),
     _bool("proven", "whether it made a calibration that supersedes those before"),
-    _text("robot", "serial number of the robot"),
-    _text("tracker", "serial number of the tracker"),
+    _name("robot", "serial number of the robot"),
+    _name("tracker", "serial number of the tracker"),
     sa.Column("devices", sa.Uuid, nullable=False, comment="first 128 bits of the SHA-256 of its "
         "rows in device"),
     _text("version", "version of hilcell"),
-    sa.Column("shipped", Utc, nullable=False, server_default=sa.func.now(), comment="arrival, by "
+    sa.Column("shipped", Utc, nullable=False, server_default=CLOCK, comment="arrival, by "
         "the server's clock"),
     sa.Column("shipped_by", sa.Text, nullable=False, server_default=LOGIN, comment="login that "
         "shipped it"),
+    sa.Column("inserted_in", sa.BigInteger, nullable=False, server_default=TRANSACTION,
+        comment="the server's transaction in which it arrived, with all its parts"),
     sa.Column("accepted", sa.Boolean, comment="the owner's decision: accepted (true), removed "
         "(false), or none (null)"),
     sa.Column("held", sa.Boolean, sa.Computed(HELD, persisted=True), comment="whether it is in no "
@@ -252,7 +267,14 @@ KEPT = """
             WHERE every.cell_key = NEW.cell_key AND every.run_key = NEW.run_key AND NOT every.held
         ), false);
 """
-SERVER_COLUMNS = ("shipped", "shipped_by", "accepted", "held", "newest")  # of `run`: no cell's
+SERVER_COLUMNS = (
+    "shipped",
+    "shipped_by",
+    "inserted_in",
+    "accepted",
+    "held",
+    "newest",
+)  # of `run`: no cell's
 
 
 def _partial_index(name: str, table: sa.Table, where: str, *columns: str) -> None:
@@ -274,7 +296,7 @@ _partial_index("run_set_back", RUN, "ended < begun", "ended")
 OUTCOME = _part(
     "outcome",
     "the run's row in the index of runs",
-    _json("row", "`hilcell.journal.index.RunRow`", "object"),
+    _json("row", "`hilcell.journal.index.RunRow`", "object", most=LONGEST_OUTCOME),
 )
 FRAME = _part(
     "frame",
@@ -409,7 +431,7 @@ CLAIM = _table(
     _key("cell", "name of the cell"),
     _key("serial", "serial number of the cell"),
     sa.Column("login", sa.Text, nullable=False, server_default=LOGIN, comment="login"),
-    sa.Column("since", Utc, nullable=False, server_default=sa.func.now(), comment="since when, by "
+    sa.Column("since", Utc, nullable=False, server_default=CLOCK, comment="since when, by "
         "the server's clock"),
 )  # fmt: skip
 DECISION = _table(

@@ -108,7 +108,7 @@ def test_a_run_that_was_changed_is_not_archived(
     assert points(database) == before
     assert list((tmp_path / "old").iterdir()) == []
     done = command(
-        "plant", "archive", "--from", url(database), "--before", "2999-01-01",
+        "plant", "archive", "--from", url(database), "--before", f"{NOW + DAY:%Y-%m-%d}",
         "-o", tmp_path / "old",
     )  # fmt: skip
     assert done.returncode == 7
@@ -122,7 +122,14 @@ def test_a_full_disk_moves_nothing(
     folder = tmp_path / "old"
     with files_limited_to(4000):
         line = refused(
-            "archive", "--from", url(database), "--before", "2999-01-01", "-o", folder, code=7
+            "archive",
+            "--from",
+            url(database),
+            "--before",
+            f"{NOW + DAY:%Y-%m-%d}",
+            "-o",
+            folder,
+            code=7,
         )
     assert str(folder) in line
     assert points(database) == before

@@ -287,3 +287,76 @@ def test_a_run_of_the_future_waits_for_the_owner(
     assert asked(*export)["runs"] == 2
     exported = json.loads((tmp_path / "out" / "decisions.json").read_text())
     assert [each["what"] for each in exported] == ["accepted", "removed"]
+
+
+# -- what one login may cost the readers -----------------------------------------------------------
+
+
+def test_a_transaction_that_stays_open_states_no_earlier_arrival(both: Plant) -> None:
+    """And parts come in the transaction of their run, whatever its time."""
+    rows = rows_of(both, "south", "south-20")
+    with both.connect("south") as asked:
+        asked.execute(b"BEGIN")
+        began = asked.execute(b"SELECT now() AS at").fetchone()
+        sent(asked, "run", rows["run"][0] | {"revision": 9999, "digest": first_128_bits(b"1")})
+        asked.execute(b"COMMIT")
+    (kept,) = both.ask("SELECT shipped FROM run WHERE revision = 9999")
+    assert began is not None
+    assert kept["shipped"] > began["at"]
+
+
+def test_claims_without_runs_are_in_no_answer(both: Plant) -> None:
+    with both.connect("south") as asked:
+        asked.execute(
+            b"INSERT INTO claim (cell, serial) SELECT 'north', 'z' || n "
+            b"FROM generate_series(1, 2000) AS n"
+        )
+    assert both.shown()["doubts"] == []
+    line = refused("assign", "north", "--login", both.logins["north"], "--to", both.url())
+    assert "more" in line
+    assert len(line) < 1000
+
+
+@pytest.mark.parametrize("name", ["fake\nnorth", "x" * 1001, "a\x7fb"])
+def test_a_name_that_would_spoil_tables_is_refused(name: str, both: Plant) -> None:
+    row = rows_of(both, "south", "south-20")["run"][0] | {"revision": 9999}
+    with both.connect("south") as asked:
+        for column in ("name", "robot", "tracker"):
+            with pytest.raises(psycopg.errors.CheckViolation):
+                sent(asked, "run", row | {column: name})
+
+
+def test_a_digest_names_its_run_although_another_has_it_as_a_name(both: Plant) -> None:
+    (theirs,) = both.ask("SELECT digest FROM run WHERE name = 'north-40'")
+    digest = theirs["digest"].hex
+    row = rows_of(both, "south", "south-20")["run"][0]
+    with both.connect("south") as asked:
+        sent(asked, "run", row | {"revision": 9999, "digest": first_128_bits(b"1"), "name": digest})
+    done = command("plant", "held", "--remove", digest, "--from", both.url(), "--json")
+    assert [each["run"] for each in json.loads(done.stdout)["held"]] == ["north-40"]
+
+
+def test_many_runs_of_one_transaction_take_one_lock(both: Plant) -> None:
+    row = rows_of(both, "south", "south-20")["run"][0]
+    with both.connect("south") as asked:
+        asked.execute(b"BEGIN")
+        for n in range(5):
+            own = {"digest": first_128_bits(b"%d" % n), "run_key": first_128_bits(b"k%d" % n)}
+            sent(asked, "run", row | own)
+        held = asked.execute(
+            b"SELECT count(*) AS count FROM pg_locks "
+            b"WHERE locktype = 'advisory' AND pid = pg_backend_pid()"
+        ).fetchone()
+        asked.execute(b"ROLLBACK")
+    assert held == {"count": 1}
+
+
+def test_runs_that_cannot_be_read_are_one_line_a_cell(both: Plant) -> None:
+    row = rows_of(both, "south", "south-20")["run"][0] | {"ended": NOW, "begun": NOW}
+    with both.connect("south") as asked:
+        for n in range(5):
+            own = {"digest": first_128_bits(b"%d" % n), "run_key": first_128_bits(b"k%d" % n)}
+            sent(asked, "run", row | own | {"name": f"bad-{n}"})
+    (doubt,) = both.shown()["doubts"]
+    assert "bad-0" in doubt
+    assert "4 more records" in doubt

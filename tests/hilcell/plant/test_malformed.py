@@ -113,7 +113,15 @@ def test_no_value_of_any_column_ends_the_answers_of_others(both: Plant) -> None:
     done = command("plant", "export", "south", *key, "-o", both.folder / "spoilt")
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
-    words = ("plant", "archive", "--before", "2026-11-02", "-o", both.folder / "old", "--json")
+    words = (
+        "plant",
+        "archive",
+        "--before",
+        f"{NOW + DAY:%Y-%m-%d}",
+        "-o",
+        both.folder / "old",
+        "--json",
+    )
     done = command(*words, "--from", both.url())
     assert done.returncode == 7
     assert not {"north-40", "north-20"} & json.loads(done.stdout)["refused"].keys()

@@ -156,10 +156,15 @@ def test_a_monitor_has_an_exit_code_and_a_file(filed: str, tmp_path: Path) -> No
 def test_a_label_is_one_word_to_prometheus(model: Model, office: Database, tmp_path: Path) -> None:
     model.write(tmp_path / "runs", Run("a", "north", "HC-1", NOW - 9 * DAY))
     asked_after(office.name, tmp_path / "runs")
-    with office.transaction() as connection:
-        connection.execute(text("UPDATE run SET cell = :cell"), {"cell": 'n"o\\th'})
-    asked(office.name, "--metrics", str(tmp_path / "plant.prom"))
-    assert 'cell="n\\"o\\\\th"' in (tmp_path / "plant.prom").read_text()
+    names = ['n"o\\th', "no\u200bth", "no\u200cth", "no\\u200bth"]
+    series = set()
+    for name in names:
+        with office.transaction() as connection:
+            connection.execute(text("UPDATE run SET cell = :cell"), {"cell": name})
+        asked(office.name, "--metrics", str(tmp_path / "plant.prom"))
+        series.add((tmp_path / "plant.prom").read_text().splitlines()[2])
+    assert len(series) == len(names)
+    assert any('cell="n\\"o\\\\\\\\th"' in each for each in series)
 
 
 def test_tables_name_the_collision_too(filed: str) -> None:

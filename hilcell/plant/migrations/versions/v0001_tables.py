@@ -11,14 +11,14 @@ revision = "0001"
 down_revision = None
 
 # It works as the owner, so nothing is looked up in the schema of the cell's own temporary tables
-# first. The lock: of two revisions at once, each would miss the other.
+# first. The lock: of two revisions at once, each would miss the other. One a cell, for the server's
+# table of locks is small.
 FUNCTION = f"""
 DO $$ BEGIN EXECUTE format('
 CREATE FUNCTION plant_newest() RETURNS trigger
 LANGUAGE plpgsql SECURITY DEFINER SET search_path = pg_catalog, %I, pg_temp AS $function$
 BEGIN
-    PERFORM pg_advisory_xact_lock(
-        hashtextextended(NEW.cell_key::text || NEW.run_key::text, 0::bigint));
+    PERFORM pg_advisory_xact_lock(hashtextextended(NEW.cell_key::text, 0::bigint));
     {KEPT}
     RETURN NULL;
 END $function$', current_schema()); END $$
