@@ -115,21 +115,31 @@ def _front(study: Study, found: Answers) -> str:
     axes[0, 0].set_ylabel(_error(study, found))
     if 0 < len(found.front) <= 20:
         for (_, of), ax in zip(across, axes[0], strict=True):
-            _label(ax, found.front, of)
+            _label(ax, found.front, beaten, of)
     return svg_of(figure, "front")
 
 
-def _label(ax: Axes, front: Sequence[Design], of: Callable[[Design], float]) -> None:
+def _label(
+    ax: Axes, front: Sequence[Design], beaten: Sequence[Design], of: Callable[[Design], float]
+) -> None:
     """Write the numbers of points where they overprint no dot and no other number.
 
-    Dots that touch have one label together.
+    Dots that touch have one label together. One that would be far from its dot may lie over dots of
+    designs that are beaten.
     """
-    height_pt, digit_pt, dot_pt = 9.0, 5.2, 3.0
-    places = ax.transData.transform([(of(each), each.deciding.mean) for each in front])
-    places *= 72.0 / ax.figure.dpi
+    height_pt, digit_pt, dot_pt, far_pt = 9.0, 5.2, 3.0, 40.0
+
+    def places_pt(designs: Sequence[Design]) -> Array:
+        at = np.array([(of(each), each.deciding.mean) for each in designs]).reshape(-1, 2)
+        return np.asarray(ax.transData.transform(at)) * 72.0 / ax.figure.dpi
+
+    places = places_pt(front)
     near = np.abs(places[:, None] - places).max(axis=2) < height_pt
     count, group = connected_components(near, directed=False)
-    taken = [(x - dot_pt, y - dot_pt, x + dot_pt, y + dot_pt) for x, y in places.tolist()]
+    open_dots, taken = (
+        [(x - dot_pt, y - dot_pt, x + dot_pt, y + dot_pt) for x, y in each.tolist()]
+        for each in (places_pt(beaten), places)
+    )
     right_pt = float(ax.bbox.x1) * 72.0 / ax.figure.dpi
     for n in range(count):
         own = np.flatnonzero(group == n).tolist()
@@ -139,7 +149,8 @@ def _label(ax: Axes, front: Sequence[Design], of: Callable[[Design], float]) -> 
         rights = [4.0, -4.0 - width_pt] if x + 4.0 + width_pt <= right_pt else [-4.0 - width_pt]
         for up, right in product(np.arange(4.0, 160.0, 3.0).tolist(), rights):
             box = (x + right, y + up, x + right + width_pt, y + up + height_pt)
-            if not any(_overlap(box, other) for other in taken):
+            others = [*taken, *open_dots] if up < far_pt else taken
+            if not any(_overlap(box, other) for other in others):
                 break
         taken.append(box)
         ax.annotate(words, (of(front[top]), front[top].deciding.mean), (right, up),

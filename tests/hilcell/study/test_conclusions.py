@@ -424,6 +424,26 @@ def test_the_front_is_that_of_every_pair(seed: int) -> None:
     assert sorted(front_of(places)) == [n for n, each in enumerate(beaten) if not each]
 
 
+def test_labels_of_points_hide_no_other_dot(tmp_path: Path) -> None:
+    """Dots of designs that are beaten lie at the upper right of those of the front."""
+    readings = factor(name="r", setting="layout.nest_samples", levels=[*range(1, 49)])
+    above_mm = (0.03, 0.0, 0.0045, 0.03)
+    found = Summary(
+        (asked := study(tmp_path, readings, FOUR)),
+        rows(asked, lambda c: 0.1 - 0.0005 * c.point.number + above_mm[c.point.number % 4]),
+    )
+    assert len(found.found.front) == 12
+    svg = page(found).split("<svg")[1]
+    label = r'<text style="font-weight: 700[^"]*" x="([\d.]+)" y="([\d.]+)"[^>]*>([\d, ]+)<'
+    labels = [(float(x), float(y), words) for x, y, words in re.findall(label, svg)]
+    dots = re.findall(r'<use [^>]*x="([\d.]+)" y="([\d.]+)" style="fill: #ffffff', svg)
+    assert (len(labels), len(dots)) == (12, 36)
+    for x, y, words in labels:
+        for across, down in dots:
+            inside = x <= float(across) <= x + 4.0 * len(words) and y - 6.0 <= float(down) <= y
+            assert not inside
+
+
 def test_labels_of_points_do_not_overprint(tmp_path: Path) -> None:
     """Many designs at one price: each number is there once, and no two labels touch."""
     readings = factor(name="r", setting="layout.nest_samples", levels=[*range(1, 13)])
