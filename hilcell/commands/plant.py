@@ -153,7 +153,7 @@ def _label(text: str) -> str:
     """Return a text as the value of a label, so that different texts stay different."""
     visible = (each if harmless(each) == each else f"\\u{ord(each):04x}" for each in text)
     doubled = (each if len(each) > 1 or each != "\\" else "\\\\" for each in visible)
-    return "".join(doubled).translate(str.maketrans({"\\": "\\\\", '"': '\\"'}))
+    return "".join(doubled).replace("\\", "\\\\").replace('"', '\\"')
 
 
 METRICS: tuple[tuple[str, str, Callable[[CellState], float | None]], ...] = (

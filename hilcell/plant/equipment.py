@@ -392,10 +392,10 @@ def _measured(rows: Sequence[Row]) -> tuple[Array, Array]:
 
 
 def _is_readable(row: Row, doubts: list[Doubt]) -> bool:
+    before = len(doubts)
     with left_out(row, doubts):
         _measured([row])
-        return True
-    return False
+    return len(doubts) == before
 
 
 @dataclass(frozen=True, eq=False)

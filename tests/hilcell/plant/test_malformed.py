@@ -53,10 +53,14 @@ def nonsense(column: sa.Column[Any]) -> Iterator[object]:
 def spoilt_rows(row: dict[str, Any]) -> Iterator[str]:
     """Yield the JSON of a run's row with each field spoilt."""
     for name in row:
-        for value in (None, "x", 3, -1e300, [], {}, True, "2199-01-01T00:00:00+00:00"):
+        spoilt: tuple[object, ...] = (
+            None, "x", 3, -1e300, [], {}, True, "2199-01-01T00:00:00+00:00",
+        )  # fmt: skip
+        for value in spoilt:
             yield json.dumps(row | {name: value})
     for name in row["facts"]:
-        for value in (None, "south-20", 3, [], True):
+        others: tuple[object, ...] = (None, "south-20", 3, [], True)
+        for value in others:
             yield json.dumps(row | {"facts": row["facts"] | {name: value}})
 
 
@@ -92,8 +96,8 @@ def test_no_value_of_any_column_ends_the_answers_of_others(both: Plant) -> None:
         for table in (RUN, *PARTS):
             for column in table.c:
                 for value in nonsense(column):
-                    done = tried(asked, rows, table.name, {column.name: value})
-                    taken, refused = taken + done, refused + (not done)
+                    took = tried(asked, rows, table.name, {column.name: value})
+                    taken, refused = taken + took, refused + (not took)
         for text in spoilt_rows(rows[OUTCOME.name][0]["row"]):
             taken += tried(asked, rows, OUTCOME.name, {"row": text})
     assert min(taken, refused) > 100
@@ -113,16 +117,8 @@ def test_no_value_of_any_column_ends_the_answers_of_others(both: Plant) -> None:
     done = command("plant", "export", "south", *key, "-o", both.folder / "spoilt")
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
-    words = (
-        "plant",
-        "archive",
-        "--before",
-        f"{NOW + DAY:%Y-%m-%d}",
-        "-o",
-        both.folder / "old",
-        "--json",
-    )
-    done = command(*words, "--from", both.url())
+    before = ("--before", f"{NOW + DAY:%Y-%m-%d}", "-o", both.folder / "old")
+    done = command("plant", "archive", *before, "--json", "--from", both.url())
     assert done.returncode == 7
     assert not {"north-40", "north-20"} & json.loads(done.stdout)["refused"].keys()
 

@@ -27,8 +27,9 @@ from cryptography.x509.oid import NameOID
 from sqlalchemy import Table, event, make_url, select, text
 
 from hilcell.journal.runs import read_records
-from hilcell.plant.database import CELL, ENGINEER, MIGRATIONS, SHIPPED, Database
+from hilcell.plant.database import MIGRATIONS, SHIPPED, Database
 from hilcell.plant.record import heads, rows_digest, run_record
+from hilcell.plant.rights import CELL, ENGINEER
 from hilcell.plant.shipper import ship, write
 from hilcell.plant.tables import GRID, HEAD, LENGTH, PARTS, POINT, RUN, TABLES
 from tests.hilcell.plant.conftest import NOW, refused

@@ -21,7 +21,8 @@ from psycopg.rows import dict_row
 from sqlalchemy import text
 
 from hilcell.journal.runs import read_records
-from hilcell.plant.database import ENGINEER, Database
+from hilcell.plant.database import Database
+from hilcell.plant.rights import ENGINEER
 from hilcell.plant.shipper import ship
 from tests.conftest import shared_folder
 from tests.hilcell.plant.conftest import DAY, NOW
