@@ -173,12 +173,14 @@ class Crossed:
         return self._model.freedom - len(self._basis)
 
     def rest(self, figures: Array) -> Array:
-        rest = self._model.rest(figures)
-        return rest - self._u @ (self._u.T @ rest)
+        additive = self._model.rest(figures)
+        rest: Array = additive - self._u @ (self._u.T @ additive)
+        return rest
 
     @property
     def leverage(self) -> Array:
-        return self._model.leverage + np.asarray((self._u**2).sum(axis=1))
+        of_products: Array = (self._u**2).sum(axis=1)
+        return self._model.leverage + of_products
 
     def change(self, level: int, start: int, beside: int) -> Array:
         """Return the weights (N,) of a change of the one at a level of the other, or NaN."""
@@ -204,4 +206,5 @@ class Crossed:
         missed = float(np.linalg.norm(left - self._basis.T @ across))
         if not missed <= SAME * max(1.0, float(np.linalg.norm(left))):
             return np.full(len(main), np.nan)
-        return main + self._u @ (across / self._sizes)
+        weights: Array = main + self._u @ (across / self._sizes)
+        return weights

@@ -625,7 +625,7 @@ class _Fits:
         did = np.isfinite(figures).all(axis=0)
         patterns, of = np.unique(did, axis=1, return_inverse=True)
         self.pattern_of, self.patterns = of.ravel(), patterns.T
-        self._models = [
+        self._models: list[Additive] = [
             Additive(study.factor, [points[n] for n in np.flatnonzero(own).tolist()])
             for own in self.patterns
         ]
@@ -646,7 +646,8 @@ class _Fitted(Generic[Model]):
     """One model, fitted on each machine: contrasts there, and what machines share of the error."""
 
     def __init__(self, of: _Fits, models: Sequence[Model]) -> None:
-        self._of, self._models = of, models
+        self._of = of
+        self._models: Sequence[Model] = models
         self._freedom = float(max(each.freedom for each in models))
         self._rests = np.zeros_like(of.figures)  # by leverage
         for n, (own, model) in enumerate(zip(of.patterns, models, strict=True)):

@@ -180,7 +180,7 @@ class Summary:
         """Return what the customer's certificates say of the front, beside the truth."""
         if not self.found.by_truth:
             return Table((), ())
-        columns = [
+        columns: list[Column[Design]] = [
             point_columns(self.study)[0],
             *self._errors(),
             Column[Design]("95 % bound of a target", attrgetter("bound_mm"), "mm", ".3f"),
@@ -195,13 +195,14 @@ class Summary:
     def purchases(self) -> Table:
         """Return what each step from a first level gains, the largest gain that is shown first."""
         purchases = self.found.purchases
+        gains: list[Column[Effect]] = self._accuracies(
+            lambda row: row.change.text(-1.0), lambda row: row.true_change.text(-1.0), "gain"
+        )
         columns: list[Column[Effect]] = [
             Column("factor", attrgetter("factor.title")),
             Column("from", attrgetter("start")),
             Column("to", attrgetter("word")),
-            *self._accuracies(
-                lambda row: row.change.text(-1.0), lambda row: row.true_change.text(-1.0), "gain"
-            ),
+            *gains,
             Column("shown", attrgetter("shown"), form="s"),
             Column("more minutes", lambda row: _signed(row.minutes), form="s"),
         ]
@@ -253,15 +254,19 @@ class Summary:
     def effects(self) -> Table:
         """Return the accuracy at each level of each factor, all else averaged."""
         found = self.found
+        means: list[Column[Effect]] = self._accuracies(
+            lambda row: row.mean.text(), lambda row: row.true_mean.text()
+        )
+        changes: list[Column[Effect]] = self._accuracies(
+            lambda row: row.change.text() if row.word != row.start else "",
+            lambda row: row.true_change.text() if row.word != row.start else "",
+            "change",
+        )
         columns: list[Column[Effect]] = [
             Column("factor", attrgetter("factor.title")),
             Column("level", attrgetter("word")),
-            *self._accuracies(lambda row: row.mean.text(), lambda row: row.true_mean.text()),
-            *self._accuracies(
-                lambda row: row.change.text() if row.word != row.start else "",
-                lambda row: row.true_change.text() if row.word != row.start else "",
-                "change",
-            ),
+            *means,
+            *changes,
             Column("minutes", lambda row: _signed(row.minutes), form="s"),
             Column("covered", lambda row: row.covered.text(), "%", "s"),
         ]
