@@ -11,7 +11,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from operator import attrgetter
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Self, TypeVar
 
 import msgspec
 
@@ -52,6 +52,8 @@ if TYPE_CHECKING:
         RobotTrend,
         StationTrend,
     )
+
+T = TypeVar("T")
 
 
 def init(args: PlantInit) -> int:
@@ -151,9 +153,9 @@ def _metrics(cells: Sequence[CellState]) -> str:
 
 def _label(text: str) -> str:
     """Return a text as the value of a label, so that different texts stay different."""
-    visible = (each if harmless(each) == each else f"\\u{ord(each):04x}" for each in text)
-    doubled = (each if len(each) > 1 or each != "\\" else "\\\\" for each in visible)
-    return "".join(doubled).replace("\\", "\\\\").replace('"', '\\"')
+    doubled = text.replace("\\", "\\\\")  # a single one is of a character that is not visible
+    visible = (each if harmless(each) == each else f"\\u{ord(each):04x}" for each in doubled)
+    return "".join(visible).replace("\\", "\\\\").replace('"', '\\"')
 
 
 METRICS: tuple[tuple[str, str, Callable[[CellState], float | None]], ...] = (
@@ -340,13 +342,8 @@ def assign(args: PlantAssign) -> int:
                 known = [assign_cell(connection, args.cell, args.serial, args.login)]
             else:
                 known = claims(connection)
-    if args.json:
-        print_json({"claims": msgspec.to_builtins(known)})
-    elif known:
-        print_table(Table(CLAIMS, known))
-    else:
-        print_message(f"plant database {database.name}: no cell has a login")
-    return EXIT_OK
+    none = f"plant database {database.name}: no cell has a login"
+    return _listed({"claims": known}, CLAIMS, none, as_json=args.json)
 
 
 def held(args: PlantHeld) -> int:
@@ -362,12 +359,21 @@ def held(args: PlantHeld) -> int:
             if args.accept or args.remove:
                 decide(connection, args.accept or args.remove, accepted=bool(args.accept))
             runs = held_runs(connection)
-    if args.json:
-        print_json({"held": msgspec.to_builtins(runs)})
-    elif runs:
-        print_table(Table(HELD, runs))
+    none = f"plant database {database.name}: no run is held apart"
+    return _listed({"held": runs}, HELD, none, as_json=args.json)
+
+
+def _listed(
+    answer: dict[str, list[T]], columns: Sequence[Column[T]], none: str, *, as_json: bool
+) -> int:
+    """Print the one list of an answer, or ``none`` where it is empty."""
+    (rows,) = answer.values()
+    if as_json:
+        print_json(msgspec.to_builtins(answer))
+    elif rows:
+        print_table(Table(columns, rows))
     else:
-        print_message(f"plant database {database.name}: no run is held apart")
+        print_message(none)
     return EXIT_OK
 
 
