@@ -304,7 +304,7 @@ def from_rotvec(vectors_rad: ArrayLike) -> Array:
     """Return the rotations (..., 3, 3) about vectors (..., 3) by their lengths, by Rodrigues."""
     v = np.asarray(vectors_rad, dtype=float)
     angle = np.linalg.norm(v, axis=-1)[..., None, None]
-    K = np.cross(np.eye(3), v[..., None, :])
+    K = cross_matrix(v)
     small_rad = 1e-4  # below, series in the angle: their next term is beyond a double
     safe = np.where(angle < small_rad, 1.0, angle)
     first = np.where(angle < small_rad, 1.0 - angle**2 / 6.0, np.sin(angle) / safe)
