@@ -16,13 +16,18 @@ STROKES = 10_000  # kept: more than a commissioning has
 
 @dataclass(slots=True)
 class Stroke:
-    """One motion: when it began (UTC, as a journal's stamps), positions (N,), the planned speed."""
+    """One motion: when it began, positions (N,), the planned speed."""
 
-    began: str
+    moment: datetime
     begin: Array
     low: Array
     high: Array
     fastest: Array
+
+    @property
+    def began(self) -> str:
+        """Return when it began, UTC, as a journal's stamps."""
+        return self.moment.isoformat(timespec="milliseconds")
 
 
 class Travel(NamedTuple):
@@ -50,8 +55,8 @@ class MotionRecord:
 
     def begin(self, fastest: Array) -> None:
         """Begin a stroke here; ``fastest`` (N,): its largest planned speeds."""
-        began, at = datetime.now(UTC).isoformat(timespec="milliseconds"), self._at
-        self._strokes.append(Stroke(began, at, at, at, fastest))
+        at = self._at
+        self._strokes.append(Stroke(datetime.now(UTC), at, at, at, fastest))
 
     def add(self, at: Array, moving_s: float) -> None:
         self._at = at

@@ -103,9 +103,11 @@ class TrackerTruth:
         order = sorted(off_mm, key=off_mm.__getitem__)
         to_tracker = partial(transform_point, self._from_world)
         in_range = (name for name in order if self._in_range(to_tracker(places[name])))
-        best, next_best = next(in_range, None), next(in_range, None)
-        if next_best is not None and self._faults.strikes("tracker.wrong_target"):
-            return next_best
+        best = next(in_range, None)
+        if self._faults.any_armed:
+            next_best = next(in_range, None)
+            if next_best is not None and self._faults.strikes("tracker.wrong_target"):
+                return next_best
         return best if best is not None and off_mm[best] <= radius_mm else None
 
     def measure(self, name: str, *, back: bool = False) -> Measurement | None:
@@ -216,8 +218,10 @@ class TrackerTruth:
         """
         x, y, z = xyz_mm.T
         flat_mm, range_mm = np.hypot(x, y), np.sqrt(np.vecdot(xyz_mm, xyz_mm))
-        around = np.stack([-y, x, np.zeros(len(xyz_mm))], axis=1)
-        down = np.stack([x * z, y * z, -(flat_mm**2)], axis=1) / range_mm[:, None]
+        around, down = np.zeros_like(xyz_mm), np.empty_like(xyz_mm)
+        around[:, 0], around[:, 1] = -y, x
+        down[:, 0], down[:, 1], down[:, 2] = x * z, y * z, -(flat_mm**2)
+        down /= range_mm[:, None]
         collimation, transit, index = -self._axes_rad if back else self._axes_rad
         drift_rad = self._turning_rad * (self.measured - self._turning_since) / 1000.0
         across = (collimation * range_mm + transit * z) / flat_mm + drift_rad

@@ -22,6 +22,7 @@ from hilcell.cell.tables import Pose
 from hilcell.ports import HilcellError
 
 Array = NDArray[np.float64]
+_EYE = np.eye(3)
 
 
 def axis_rotation(axes: Array, angles_rad: Array) -> Array:
@@ -42,7 +43,8 @@ def axis_rotation_by(K: Array, squares: Array, angles_rad: Array) -> Array:
     """Return as `axis_rotation`, from known `axis_generators`."""
     sine = np.sin(angles_rad)[..., None, None]
     versine = (1.0 - np.cos(angles_rad))[..., None, None]
-    return np.eye(3) + sine * K + versine * squares
+    rotated: Array = _EYE + sine * K + versine * squares
+    return rotated
 
 
 def rotation(vector_rad: Array) -> Array:

@@ -127,10 +127,12 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
                 f"{spread[0]:.1f} mm along it, {spread[1]:.1f} mm across)"
             )
 
-    @property
+    @cached_property
     def seats_mm(self) -> Array:
         """Return the reflectors' nominal positions (K, 3) on the flange, the tool point first."""
-        return np.array([self.smr_mm, *self.more_smr_mm])
+        seats_mm = np.array([self.smr_mm, *self.more_smr_mm])
+        seats_mm.flags.writeable = False
+        return seats_mm
 
     def arm(self) -> Arm:
         """Return the nominal arm; its tool point is the reflector's centre."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 Matrix = list[list[float]]
 
 
-class Frame(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class Frame(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, dict=True):
     """A homogeneous matrix (4, 4) in {W} and its covariance (6, 6): shift (mm), rotation (rad). A
     frame from an earlier calibration has only these, and the run of its ``calibration``.
     """
@@ -27,6 +28,10 @@ class Frame(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def T(self) -> Array:  # noqa: N802 - the paper's symbol
+        return self._matrix.copy()
+
+    @cached_property
+    def _matrix(self) -> Array:  # many a point asks for it
         import numpy as np  # most readers of a journal do without arrays
 
         return np.array(self.matrix, dtype=float)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
@@ -97,7 +98,7 @@ KINDS = {
 }
 
 
-class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
+class PointId(msgspec.Struct, frozen=True, omit_defaults=True, dict=True):
     """The identity of a point; a field that does not identify it is empty.
 
     ``station``: where several stations have the same point; ``side``: +1 for an approach from
@@ -124,7 +125,7 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
     visit: int | None = None
     seat: int | None = None
 
-    @property
+    @cached_property
     def key(self) -> str:
         """Name for people, files and commands: ``validate/S300/idw/012``."""
         parts = (
