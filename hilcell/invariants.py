@@ -18,9 +18,9 @@ import numpy as np
 from hilcell.decoding import Json, typed
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import beam_noise, coverage_factor
-from hilcell.identity import Identity
+from hilcell.identity import Identity, changed_asset_kinds
 from hilcell.journal.journal import RESTORE_ADVICE, Record, StorageError
-from hilcell.journal.log import UNWATCHED_STATES, VERIFICATION_KINDS, changed_asset_kinds
+from hilcell.journal.log import UNWATCHED_STATES, VERIFICATION_KINDS
 from hilcell.model import events
 from hilcell.model.frame import Frame
 from hilcell.model.plan import PlanRecord

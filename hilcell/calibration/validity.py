@@ -19,12 +19,11 @@ from hilcell.calibration.file import Calibration
 from hilcell.cell.differences import differences
 from hilcell.cell.file import Cell
 from hilcell.journal.calibration_status import CalibrationStatus
+from hilcell.model.calibration import CLOCK_ERROR, MAX_AGE_DAYS
 from hilcell.model.verdicts import ChangedSince, Limits
 from hilcell.ports import HilcellError
 
 TEMPERATURE_MARGIN_K = 2.0
-MAX_AGE_DAYS = 180.0
-CLOCK_ERROR = timedelta(hours=1)
 
 
 class CalibrationRefused(HilcellError):

@@ -7,15 +7,7 @@ be computed again.
 from __future__ import annotations
 
 from array import array
-from collections.abc import (
-    Callable,
-    Collection,
-    Iterable,
-    Iterator,
-    Mapping,
-    MutableMapping,
-    Sequence,
-)
+from collections.abc import Callable, Collection, Iterable, Iterator, MutableMapping, Sequence
 from functools import wraps
 from itertools import chain
 from pathlib import Path
@@ -625,25 +617,3 @@ def run_noise(log: Log) -> BeamNoise:
 def noise_at(noise: BeamNoise, points: Sequence[Point]) -> Array:
     """Return the covariances (N, 3, 3) of points' averaged readings, the tracker's axes."""
     return noise.at(positions_mm(points), [point.samples for point in points])
-
-
-def changed_asset_kinds(before: Mapping[str, Identity], now: Mapping[str, Identity]) -> list[str]:
-    """Return the kinds of assets that have changed; an unknown firmware is no change."""
-
-    def same(one: Identity | None, other: Identity | None) -> bool:
-        if one is None or other is None:
-            return False
-        known = (one.maker, one.model, one.serial) == (other.maker, other.model, other.serial)
-        return known and (one.firmware == other.firmware or "" in (one.firmware, other.firmware))
-
-    kinds = sorted(before.keys() | now.keys())
-    return [kind for kind in kinds if not same(before.get(kind), now.get(kind))]
-
-
-def different_assets(
-    first: list[Identity], second: list[Identity]
-) -> list[tuple[Identity, Identity]]:
-    """Return the pairs of assets of one kind whose serial numbers differ."""
-    there = {asset.kind: asset for asset in second}
-    pairs = ((one, there[one.kind]) for one in first if one.kind in there)
-    return [pair for pair in pairs if pair[0].serial != pair[1].serial]

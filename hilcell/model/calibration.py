@@ -1,12 +1,16 @@
-"""The stations and the provenance of a calibration, as its file has them."""
+"""A calibration: its stations and provenance, as its file has them, and how long it is valid."""
 
 from __future__ import annotations
 
+from datetime import timedelta
 from typing import Literal
 
 import msgspec
 
 from hilcell.model.frame import Matrix
+
+MAX_AGE_DAYS = 180.0
+CLOCK_ERROR = timedelta(hours=1)  # by which two PCs may differ
 
 
 class StationEntry(msgspec.Struct, frozen=True):

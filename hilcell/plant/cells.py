@@ -18,10 +18,10 @@ from uuid import UUID
 import msgspec
 from sqlalchemy import CTE, ColumnElement, Connection, Subquery, Text, and_, cast, func, or_, select
 
-from hilcell.calibration.validity import CLOCK_ERROR, MAX_AGE_DAYS
 from hilcell.decoding import decoded
 from hilcell.journal.calibration_status import statuses
 from hilcell.journal.index import RunRow, in_order
+from hilcell.model.calibration import CLOCK_ERROR, MAX_AGE_DAYS
 from hilcell.plant.tables import CLAIM, OUTCOME, RUN, Row, grouped
 from hilcell.sanitize import clean, counted
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import re
+import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import chain
@@ -20,7 +21,7 @@ from hilcell.decoding import Json
 from hilcell.errors import HilcellError, StoreUnavailable
 from hilcell.journal.index import NAME as INDEX
 from hilcell.plant.rights import CELL, CELL_COLUMNS, ENGINEER, admit
-from hilcell.plant.tables import HEAD, RUN
+from hilcell.plant.tables import HEAD, RUN, Joined, joined
 from hilcell.sanitize import clean, counted
 
 MIGRATIONS = Path(__file__).with_name("migrations")
@@ -71,7 +72,7 @@ class Database:
         if self.has_logins:
             event.listen(self.engine, "do_connect", self._connected)
         else:
-            event.listen(self.engine, "connect", self._check_keys)
+            event.listen(self.engine, "connect", self._opened)
 
     @contextmanager
     def transaction(self, *, migrating: bool = False) -> Iterator[Connection]:
@@ -143,8 +144,9 @@ class Database:
         return deadlines.connect(*words, **options)
 
     @staticmethod
-    def _check_keys(connection: object, _: object) -> None:
-        connection.execute("PRAGMA foreign_keys=ON")  # type: ignore[attr-defined] # sqlite3's own
+    def _opened(connection: sqlite3.Connection, _: object) -> None:
+        connection.execute("PRAGMA foreign_keys=ON")
+        connection.create_aggregate(joined.__name__, 1, Joined)  # type: ignore[arg-type]
 
     @staticmethod
     def _version(connection: Connection) -> str | None:

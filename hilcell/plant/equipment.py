@@ -17,50 +17,40 @@ order of the runs and so prefers no trend or step.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from bisect import insort
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from itertools import combinations, groupby
 from operator import attrgetter, itemgetter
 from statistics import NormalDist
-from typing import Any, NamedTuple
+from typing import NamedTuple, Self
 from uuid import UUID
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import (
-    Connection,
-    Double,
-    LargeBinary,
-    Text,
-    and_,
-    cast,
-    extract,
-    func,
-    or_,
-    select,
-    type_coerce,
-)
+from sqlalchemy import Connection, Text, and_, cast, func, or_, select
 
 from hilcell.decoding import Json, decoded
-from hilcell.identity import Identity
+from hilcell.identity import Identity, changed_asset_kinds
 from hilcell.journal.index import RunRow
-from hilcell.journal.log import changed_asset_kinds
 from hilcell.model.verdicts import OTHERS, VALIDATION
-from hilcell.plant.cells import CELL, UNREADABLE, Doubt, left_out, selected, uses
-from hilcell.plant.record import TRACKER
+from hilcell.plant.cells import CELL, Doubt, left_out, selected, uses
 from hilcell.plant.tables import (
     ALARM,
+    BATCH,
     DEVICE,
     FARTHEST_MM,
     GRID,
     LENGTH,
     OUTCOME,
     RUN,
+    TRACKER,
     VERDICT,
     Row,
     grouped,
+    joined,
 )  # fmt: skip
 from hilcell.ports import Array
 
@@ -160,7 +150,8 @@ def main_direction(vectors: Array) -> Array:
     centred = vectors - vectors.mean(axis=0)
     count, size = centred.shape
     squares = centred.T @ centred if size <= count else centred @ centred.T
-    values, directions = eigh(squares, subset_by_index=[len(squares) - 1] * 2, driver="evr")
+    last = [len(squares) - 1] * 2
+    values, directions = eigh(squares, subset_by_index=last, driver="evr", check_finite=False)
     if size <= count:
         along: Array = centred @ directions[:, 0]
     else:
@@ -190,9 +181,11 @@ class _Model:
         if celsius is not None and float(np.ptp(celsius)) >= least_span_k:
             self.base.append(celsius - celsius.mean())
         self.steps: list[int] = []
+        self._decompose()
 
     def add(self, at: int) -> None:
         self.steps.append(at)
+        self._decompose()
 
     def next_step(self) -> tuple[int, float] | None:
         """Return the place of the best further step with its p-value, or None if none is possible.
@@ -203,7 +196,7 @@ class _Model:
         """
         from scipy import special
 
-        within, _, _ = self._decomposed()
+        within = self.within
         degrees = len(self.values) - within.shape[1] - 1
         least_degrees = 3  # of freedom that remain for the noise
         if degrees < least_degrees:
@@ -225,7 +218,7 @@ class _Model:
     def fit(self) -> _Fit:
         from scipy import special
 
-        within, scaled, singular = self._decomposed()
+        within, scaled, singular = self.within, self.scaled, self.singular
         parameters = scaled @ ((within.T @ self.values) / singular)
         residuals = self.values - within @ (within.T @ self.values)
         degrees = len(residuals) - len(singular)
@@ -243,8 +236,8 @@ class _Model:
             math.sqrt(rest / degrees), sorted(steps, key=lambda step: step.at),
         )  # fmt: skip
 
-    def _decomposed(self) -> tuple[Array, Array, Array]:
-        """Return the singular value decomposition of the design: left vectors (N, R), right (P, R)
+    def _decompose(self) -> None:
+        """Compute the singular value decomposition of the design: left vectors (N, R), right (P, R)
         and values (R,), of its rank R.
         """
         places = np.arange(len(self.values))
@@ -252,7 +245,9 @@ class _Model:
         design = np.column_stack([*self.base, *levels])
         left, singular, right = np.linalg.svd(design, full_matrices=False)
         held = singular > singular[0] * len(design) * np.finfo(float).eps
-        return left[:, held], right[held].T, singular[held]
+        self.within: Array = left[:, held]
+        self.scaled: Array = right[held].T
+        self.singular: Array = singular[held]
 
 
 # -- robots ----------------------------------------------------------------------------------------
@@ -301,19 +296,61 @@ class RobotTrend(msgspec.Struct, frozen=True, kw_only=True):
     changes: list[Change]
 
 
-class _Calibration(NamedTuple):
-    """A calibration of a robot, without its vectors."""
+class _Grids(NamedTuple):
+    """Grids of one layout of a robot, N, by their ends (s since 1970): UUID of the run, mean
+    temperature or NaN, errors (N, 3 M) in {B} and points of the bases (N, 9) in {W}, mm.
+    """
 
-    digest: UUID
-    name: str
-    ended: datetime
+    digests: NDArray[np.void]
+    ended_s: Array
+    celsius: Array
+    errors_mm: Array
+    bases_mm: Array
+
+    @classmethod
+    def of(cls, row: Row) -> Self:
+        digests, ended, celsius, errors, bases = row
+        ended_s = np.frombuffer(ended, ">f8").astype(float)
+        every = cls(
+            np.frombuffer(digests, "V16"), ended_s, np.frombuffer(celsius, ">f8").astype(float),
+            *(np.frombuffer(each, "<f8").reshape(len(ended_s), -1) for each in (errors, bases)),
+        )  # fmt: skip
+        return every.chosen(np.argsort(ended_s, kind="stable"))
+
+    def chosen(self, which: NDArray[np.bool_ | np.int_]) -> Self:
+        return self._make(each[which] for each in self)
+
+    def last_s(self) -> float:
+        return float(self.ended_s[-1])
+
+    @property
+    def readable(self) -> BoolArray:
+        """Which (N,) have numbers alone that are not too large to be averaged."""
+        largest_mm = [np.abs(each).max(axis=1) for each in (self.errors_mm, self.bases_mm)]
+        readable: BoolArray = np.maximum(*largest_mm) <= FARTHEST_MM
+        return readable
+
+    @property
+    def quantities(self) -> dict[str, Series]:
+        """What is judged: rms of its points along the main direction, mm."""
+        known_c = self.celsius if np.isfinite(self.celsius).all() else None
+        return {
+            what: Series(
+                self.ended_s / YEAR_S, main_direction(each) / math.sqrt(each.shape[1] / 3), known_c
+            )
+            for what, each in ((ARM, self.errors_mm), (BASE, self.bases_mm))
+        }
+
+
+Place = tuple[str, str, str, str]  # robot, cell, serial, machine
 
 
 class _Robot(NamedTuple):
-    """The calibrations of one robot in one cell with its newest grid, and their quantities."""
+    """The calibrations of one robot in one cell with its newest grid, without their vectors."""
 
-    place: tuple[str, str, str, str]
-    calibrations: list[_Calibration]
+    place: Place
+    digests: NDArray[np.void]
+    ended_s: Array
     left_out: int
     quantities: dict[str, Series]
 
@@ -325,77 +362,25 @@ def robots(
 
     Add the runs left out to ``doubts``.
     """
-    doubts = [] if doubts is None else doubts
-    place = (RUN.c.robot, *CELL)
+    place, layout = (RUN.c.robot, *CELL), (GRID.c.layout, func.length(GRID.c.errors_mm))
+    columns = (RUN.c.digest, RUN.c.ended, GRID.c.temperature_c, GRID.c.errors_mm, GRID.c.base_mm)
     query = (
-        select(
-            *place, RUN.c.digest, RUN.c.name, RUN.c.ended, GRID.c.layout, GRID.c.temperature_c,
-            *(type_coerce(GRID.c[name], LargeBinary) for name in ("errors_mm", "base_mm")),
-        )
+        select(*place, *map(joined, columns))
         .join(GRID, GRID.c.digest == RUN.c.digest)
         .where(RUN.c.newest, RUN.c.robot != "", *selected(cell, robot))
-        .order_by(RUN.c.robot, RUN.c.cell_key, RUN.c.ended)
-    )  # fmt: skip
-    rows = connection.execute(query, execution_options={"yield_per": 1000})  # 2 kB each and more
+        .group_by(*place, *layout)
+        .order_by(*place)
+    )
+    of = _Robots(connection, [] if doubts is None else doubts)
+    rows = connection.execute(query, execution_options={"yield_per": 20})  # 0.2 MB each and more
     every = [
         found
         for place, own in groupby(rows, itemgetter(0, 1, 2, 3))
-        if (found := _robot(place, list(own), doubts)) is not None
+        if (found := of.robot(place, [_Grids.of(row[4:]) for row in own])) is not None
     ]
     every.sort(key=attrgetter("place"))
     trends = iter(fit_trends([each for robot in every for each in robot.quantities.values()]))
-    return [
-        _Robots(connection, doubts).trend(each, {what: next(trends) for what in each.quantities})
-        for each in every
-    ]
-
-
-def _robot(
-    place: tuple[str, str, str, str], rows: Sequence[Row], doubts: list[Doubt]
-) -> _Robot | None:
-    """Return a robot's calibrations, or None if none can be read."""
-    if not rows:
-        return None
-    newest = rows[-1]
-    alike = [
-        row
-        for row in rows
-        if row.layout == newest.layout and len(row.errors_mm) == len(newest.errors_mm)
-    ]
-    try:
-        measured_mm = _measured(alike)
-    except UNREADABLE:  # of one of them
-        bad = [row for row in alike if not _is_readable(row, doubts)]
-        return _robot(place, [row for row in rows if row not in bad], doubts)
-    digests, names, ends, _, air_c, _, _ = zip(*(row[4:] for row in alike), strict=True)
-    years = np.array([each.timestamp() for each in ends]) / YEAR_S
-    celsius = np.array(air_c, dtype=float)  # None becomes NaN
-    known_c = celsius if np.isfinite(celsius).all() else None
-    quantities = {}
-    for what, vectors in zip((ARM, BASE), measured_mm, strict=True):
-        along_mm = main_direction(vectors) / math.sqrt(vectors.shape[1] / 3)  # rms of its points
-        quantities[what] = Series(years, along_mm, known_c)
-    calibrations = list(map(_Calibration, digests, names, ends))
-    return _Robot(place, calibrations, len(rows) - len(alike), quantities)
-
-
-def _measured(rows: Sequence[Row]) -> tuple[Array, Array]:
-    """Return the errors (N, 3 M) in {B} and the points of the bases (N, 9) in {W} of calibrations,
-    mm. Raises one of `UNREADABLE`.
-    """
-    errors_mm = np.frombuffer(b"".join(row.errors_mm for row in rows), dtype="<f8")
-    bases_mm = np.frombuffer(b"".join(row.base_mm for row in rows), dtype="<f8")
-    for what, values in (("errors", errors_mm), ("base", bases_mm)):
-        if not (np.abs(values) <= FARTHEST_MM).all():
-            raise ValueError(f"expected numbers of at most {FARTHEST_MM:g} mm in its {what}")
-    return errors_mm.reshape(len(rows), -1), bases_mm.reshape(len(rows), 9)
-
-
-def _is_readable(row: Row, doubts: list[Doubt]) -> bool:
-    before = len(doubts)
-    with left_out(row, doubts):
-        _measured([row])
-    return len(doubts) == before
+    return [of.trend(each, {what: next(trends) for what in each.quantities}) for each in every]
 
 
 @dataclass(frozen=True, eq=False)
@@ -403,13 +388,40 @@ class _Robots:
     connection: Connection
     doubts: list[Doubt]
 
+    def robot(self, place: Place, layouts: Sequence[_Grids]) -> _Robot | None:
+        """Return a robot's calibrations with the newest grid that can be read, or None."""
+        waiting = sorted(layouts, key=_Grids.last_s)
+        while waiting:
+            newest = waiting.pop()
+            readable = newest.readable
+            if readable.all():
+                others = sum(len(each.ended_s) for each in waiting)
+                return _Robot(place, newest.digests, newest.ended_s, others, newest.quantities)
+            for run in self._runs(newest.digests[~readable]):
+                with left_out(run, self.doubts):
+                    what = "in its errors and its base"
+                    raise ValueError(f"expected numbers of at most {FARTHEST_MM:g} mm {what}")
+            if readable.any():
+                insort(waiting, newest.chosen(readable), key=_Grids.last_s)
+        return None
+
+    def _runs(self, digests: NDArray[np.void]) -> Iterator[Row]:
+        """Yield names and ends of runs."""
+        query = select(RUN.c.digest, RUN.c.cell, RUN.c.name, RUN.c.ended)
+        for start in range(0, len(digests), BATCH):
+            part = [UUID(bytes=bytes(each)) for each in digests[start : start + BATCH]]
+            found = self.connection.execute(query.where(RUN.c.digest.in_(part)))
+            by_digest = {row.digest: row for row in found}
+            yield from (by_digest[each] for each in part)
+
     def trend(self, of: _Robot, trends: dict[str, Trend | None]) -> RobotTrend:
         robot, cell, serial, machine = of.place
-        alike = of.calibrations
         found = [(what, trend) for what, trend in trends.items() if trend is not None]
         return RobotTrend(
             robot=robot, cell=cell, serial=serial, machine=machine,
-            calibrations=len(alike), first=alike[0].ended, last=alike[-1].ended,
+            calibrations=len(of.digests),
+            first=datetime.fromtimestamp(of.ended_s[0], UTC),
+            last=datetime.fromtimestamp(of.ended_s[-1], UTC),
             left_out=of.left_out,
             drift=[
                 Drift(
@@ -424,12 +436,14 @@ class _Robots:
                 if trends[what] is None
             },
             changes=[
-                self._change(what, alike, step) for what, trend in found for step in trend.steps
+                self._change(what, of.digests, step)
+                for what, trend in found
+                for step in trend.steps
             ],
         )  # fmt: skip
 
-    def _change(self, what: str, rows: Sequence[_Calibration], step: Step) -> Change:
-        first, second = rows[step.at - 1], rows[step.at]
+    def _change(self, what: str, digests: NDArray[np.void], step: Step) -> Change:
+        first, second = self._runs(digests[step.at - 1 : step.at + 1])
         return Change(
             what=what, after=first.name, before=second.name,
             since=first.ended, until=second.ended,
@@ -437,7 +451,7 @@ class _Robots:
             said=self._messages(first, second),
         )  # fmt: skip
 
-    def _messages(self, first: _Calibration, second: _Calibration) -> list[str]:
+    def _messages(self, first: Row, second: Row) -> list[str]:
         own = RUN.alias("own")
         of_run = select(own.c.cell_key).where(own.c.digest == first.digest)
         aborted = and_(RUN.c.digest == first.digest, RUN.c.state != "finished")  # after its grid
@@ -475,7 +489,7 @@ class _Robots:
         messages += [f"{row.code} {row.title} ({row.name})" for row in found]
         return list(dict.fromkeys(messages))
 
-    def _devices(self, run: _Calibration) -> dict[str, Identity]:
+    def _devices(self, run: Row) -> dict[str, Identity]:
         query = select(DEVICE).where(DEVICE.c.digest == run.digest)
         names = [name for name in Identity.__struct_fields__ if name in DEVICE.c]
         return {
@@ -538,27 +552,21 @@ class AlarmCount(msgspec.Struct, frozen=True, kw_only=True):
 
 def worse_stations(connection: Connection, cell: str = "", robot: str = "") -> list[StationTrend]:
     """Return the stations whose error after correction rises from calibration to calibration."""
+    place = (*CELL, VERDICT.c.key)
+    numbers = (RUN.c.ended, VERDICT.c.mean_mm, VERDICT.c.mean_tolerance_mm)
     query = (
-        select(
-            *CELL, VERDICT.c.key, cast(extract("epoch", RUN.c.ended), Double).label("t"),
-            VERDICT.c.mean_mm, VERDICT.c.mean_tolerance_mm,
-        )
+        select(*place, *map(joined, numbers))
         .join(VERDICT, VERDICT.c.digest == RUN.c.digest)
         .where(RUN.c.newest, VERDICT.c.key.startswith(VALIDATION), VERDICT.c.mean_mm.is_not(None))
         .where(VERDICT.c.key != f"{VALIDATION}{OTHERS}", *selected(cell, robot))
-    )  # fmt: skip
-    columns: Sequence[Sequence[Any]] = list(zip(*connection.execute(query).all(), strict=True))
-    if not columns:
-        return []
-    places = list(zip(*columns[:4], strict=True))
-    numbers = {place: n for n, place in enumerate(sorted({*places}))}
-    number = np.array([numbers[place] for place in places])
-    rows = np.array(columns[4:], dtype=float).T  # a tolerance that is missing becomes NaN
-    order = np.lexsort((rows[:, 0], number))
-    every = np.split(rows[order], np.flatnonzero(np.diff(number[order])) + 1)
-    stations = [
-        (place, own) for place, own in zip(numbers, every, strict=True) if len(own) >= FEWEST
-    ]
+        .group_by(*place)
+        .having(func.count() >= FEWEST, func.max(RUN.c.ended) > func.min(RUN.c.ended))
+    )
+    stations = []
+    for row in connection.execute(query):
+        own = np.column_stack([np.frombuffer(each, ">f8") for each in row[4:]])
+        stations.append((row[:4], own[np.argsort(own[:, 0], kind="stable")]))
+    stations.sort(key=itemgetter(0))
     risen = discoveries(_p_of_rise([own[:, 1] for _, own in stations]))
     return [
         _station_trend(place, own)
@@ -595,12 +603,27 @@ def _kendall_std(values: Array) -> float:
     return math.sqrt(max((pairs - tied) / 18.0, np.finfo(float).tiny))
 
 
+def theil_sen(times: Array, values: Array) -> tuple[float, float, float, float]:
+    """Return slope and intercept of values (N,) at times (N,), which are not all equal, and the
+    bounds of the slope, by Theil and Sen (Sen 1968).
+
+    It is `scipy.stats.theilslopes` for different times; the import of `scipy.stats` takes a second.
+    """
+    earlier, later = np.triu_indices(len(times), 1)
+    apart = times[later] - times[earlier]
+    slopes = np.sort((values[later] - values[earlier])[apart > 0.0] / apart[apart > 0.0])
+    slope = float(np.median(slopes))
+    half = NormalDist().inv_cdf(0.5 + CONFIDENCE / 2) * _kendall_std(values)
+    low = slopes[max(round((len(slopes) - half) / 2) - 1, 0)]
+    high = slopes[min(round((len(slopes) + half) / 2), len(slopes) - 1)]
+    intercept = float(np.median(values) - slope * np.median(times))
+    return slope, intercept, float(low), float(high)
+
+
 def _station_trend(place: tuple[str, ...], rows: Array) -> StationTrend:
     """Return the trend of a station from times (s), means and tolerances (N, 3)."""
-    from scipy import stats  # half a second to import, and rarely needed
-
     years, means_mm = rows[:, 0] / YEAR_S, rows[:, 1]
-    slope, intercept, low, high = map(float, stats.theilslopes(means_mm, years, CONFIDENCE))
+    slope, intercept, low, high = theil_sen(years, means_mm)
     now_mm = intercept + slope * float(years[-1])
     tolerance_mm = None if math.isnan(rows[-1, 2]) else float(rows[-1, 2])
     left_mm = None if tolerance_mm is None else tolerance_mm - now_mm

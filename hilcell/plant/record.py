@@ -44,11 +44,11 @@ from hilcell.plant.tables import (
     RUN,
     SERVER_COLUMNS,
     STREAM,
+    TRACKER,
     VERDICT,
     Utc,
 )
 
-TRACKER = "tracker"
 Values = Mapping[str, object]  # of a row, by column
 
 

@@ -46,10 +46,8 @@ from hilcell.plant.record import (
     run_key_of,
     run_record,
 )
-from hilcell.plant.tables import CLAIM, LOGIN, POINT, RUN, Row
+from hilcell.plant.tables import BATCH, CLAIM, LOGIN, POINT, RUN, Row
 from hilcell.sanitize import clean
-
-BATCH = 500  # keys of one query
 
 Key = tuple[UUID, UUID, int]  # of the cell, of the run, and its revision
 

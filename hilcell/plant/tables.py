@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 import sys
 from collections import defaultdict
@@ -17,9 +18,10 @@ from typing import Any, get_args
 import sqlalchemy as sa
 from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.sql.compiler import SQLCompiler
+from sqlalchemy.sql.functions import FunctionElement
 
 from hilcell.alarms.catalogue import Severity
-from hilcell.calibration.validity import CLOCK_ERROR
+from hilcell.model.calibration import CLOCK_ERROR
 from hilcell.model.records import OVER
 
 Row = Any  # a row of an answer: its columns by their names
@@ -87,6 +89,51 @@ class _Either(sa.ColumnElement[Any]):
 @compiles(_Either)
 def _compiled(either: _Either, compiler: SQLCompiler, **_: object) -> str:
     return either.sql[compiler.dialect.name]
+
+
+class joined(FunctionElement[bytes]):  # noqa: N801 - as SQLAlchemy's functions
+    """The values of a group's rows as bytes, one after another, in one order for all columns: a
+    number or a time (s since 1970) as 8 bytes, big-endian, NULL as NaN; a UUID as 16.
+
+    It takes a fraction of the time of so many rows.
+    """
+
+    type = sa.LargeBinary()
+    inherit_cache = True
+
+
+@compiles(joined)
+def _joined(of: joined, compiler: SQLCompiler, **options: object) -> str:
+    (column,) = of.clauses
+    is_time = isinstance(column.type, Utc)
+    values = sa.cast(sa.extract("epoch", column), sa.Double) if is_time else column
+    sql = compiler.process(values, **options)
+    if compiler.dialect.name == "sqlite":
+        return f"joined({sql})"
+    if isinstance(column.type, sa.Uuid):
+        sql = f"uuid_send({sql})"
+    elif is_time or isinstance(column.type, sa.Double):
+        sql = f"float8send(COALESCE({sql}, 'NaN'))"
+    return f"string_agg({sql}, '')"
+
+
+class Joined:
+    """The same for SQLite, which has UUIDs as hexadecimal digits."""
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = []
+
+    def step(self, value: float | str | bytes | None) -> None:
+        match value:
+            case bytes():
+                self._parts.append(value)
+            case str():
+                self._parts.append(bytes.fromhex(value))
+            case _:
+                self._parts.append(struct.pack(">d", math.nan if value is None else value))
+
+    def finalize(self) -> bytes:
+        return b"".join(self._parts)
 
 
 LOGIN = _Either("session_user", "''")  # of the connection: no SET ROLE changes it
@@ -449,6 +496,8 @@ DECISION = _table(
     sa.Column("before", sa.Text, comment="login that had the cell before"),
     _one_of("decision_what", "what", ("assigned", "accepted", "removed")),
 )  # fmt: skip
+BATCH = 500  # keys of one query
+TRACKER = "tracker"  # of the kinds of `device`
 PARTS = (OUTCOME, FRAME, VERDICT, DEVICE, ALARM, LENGTH, GRID, STREAM, DOCUMENT, POINT)
 
 

@@ -36,7 +36,8 @@ from hilcell.geometry.statistics import (
     pooled_std_mm,
     variance_of_mean,
 )
-from hilcell.journal.log import Log, different_assets
+from hilcell.identity import different_assets
+from hilcell.journal.log import Log
 from hilcell.journal.previous_reference import FLOOR_NESTS
 from hilcell.model.frame import TouchedBase
 from hilcell.model.point import Sent

@@ -19,7 +19,7 @@ from hilcell.calibration.known_arm import carried_calibration
 from hilcell.calibration.measurement_budget import Budget
 from hilcell.calibration.orientation import validated_orientation_errors
 from hilcell.calibration.position_errors import places, validation
-from hilcell.calibration.validity import MAX_AGE_DAYS, TEMPERATURE_MARGIN_K
+from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.cell.file import Cell
 from hilcell.compensation.kinematic import Kinematic
 from hilcell.compensation.model_choice import MODELS
@@ -27,6 +27,7 @@ from hilcell.geometry.frames import matrix, zyx_from_pose
 from hilcell.identification.known_arm import in_words
 from hilcell.journal.calibration_facts import SUSPECTED
 from hilcell.journal.labels import in_zone, period_text
+from hilcell.model.calibration import MAX_AGE_DAYS
 from hilcell.model.outcome import RULE, Outcome, gravest, outcome_of
 from hilcell.model.point import BOTH, Sent
 from hilcell.model.verdicts import VALIDATION, Fitted, Judged, Rechecked

@@ -15,8 +15,9 @@ from hilcell.cell.differences import differences
 from hilcell.cell.file import Cell, load_cell, states
 from hilcell.cell.settings import SettingsError
 from hilcell.cell.source import built_in_cells
-from hilcell.journal.log import Log, changed_asset_kinds
-from hilcell.ports import DeviceRefused, HilcellError, Identity
+from hilcell.identity import Identity, changed_asset_kinds
+from hilcell.journal.log import Log
+from hilcell.ports import DeviceRefused, HilcellError
 from hilcell.run.procedure import Plan, Procedure
 
 

@@ -11,11 +11,11 @@ import pytest
 from msgspec.structs import replace
 
 from hilcell.decoding import Json
-from hilcell.identity import Identity
+from hilcell.identity import Identity, different_assets
 from hilcell.journal.calibration_facts import facts_of
 from hilcell.journal.index import row_of
 from hilcell.journal.journal import Record
-from hilcell.journal.log import Log, VisitedPoses, different_assets
+from hilcell.journal.log import Log, VisitedPoses
 from hilcell.journal.runs import read_log
 from hilcell.model.events import ReadingTime
 from hilcell.model.point import Point, PointId, Readings

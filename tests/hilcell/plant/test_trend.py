@@ -13,6 +13,7 @@ from hilcell.plant.equipment import (
     Trend,
     fit_trends,
     main_direction,
+    theil_sen,
     why_no_trend,
 )  # fmt: skip
 from hilcell.ports import Array
@@ -181,3 +182,16 @@ def test_the_main_direction_is_that_of_the_change_whatever_the_order() -> None:
     order = rng.permutation(24)
     mixed = main_direction(vectors[order])
     assert np.abs(mixed) == pytest.approx(np.abs(found[order]))
+
+
+@pytest.mark.parametrize("digits", [6, 1])
+@pytest.mark.parametrize("count", [FEWEST, 25])
+def test_the_slope_of_a_station_is_that_of_scipy(count: int, digits: int) -> None:
+    """With and without equal values."""
+    from scipy import stats
+
+    rng = np.random.default_rng(count)
+    times = np.sort(rng.uniform(0.0, 5.0, count))
+    values = np.round(0.1 * times + rng.normal(0.0, 0.1, count), digits)
+    expected = stats.theilslopes(values, times, 0.95)
+    np.testing.assert_allclose(theil_sen(times, values), expected, rtol=1e-12)

@@ -132,6 +132,24 @@ def test_a_collision_after_the_grid_was_measured_is_named(
     assert "(hit)" in words
 
 
+def test_the_order_of_arrival_changes_no_answer(
+    model: Model, office: Database, tmp_path: Path
+) -> None:
+    """A cell's PC without network ships its oldest runs last."""
+    now = datetime.now(UTC)
+    for at in range(9):
+        moved = partial(noisy, at, turned if at > 4 else np.zeros_like)
+        means_mm = {"S300": 0.1 + 0.01 * at}
+        run = Run(f"r{at}", "north", "HC-1", now - (20 - at) * DAY, moved=moved, means_mm=means_mm)
+        model.write(tmp_path / ("early" if at < 6 else "late"), run)
+    found = asked_after(office.name, tmp_path / "late", tmp_path / "early")
+    (robot,) = found["robots"]
+    assert [(each["after"], each["before"]) for each in robot["changes"]] == [("r4", "r5")]
+    assert datetime.fromisoformat(robot["first"]) < datetime.fromisoformat(robot["last"])
+    (worse,) = found["stations"]
+    assert worse["mm_per_year"] == pytest.approx(0.01 * 365.25, rel=0.01)
+
+
 def test_a_monitor_has_an_exit_code_and_a_file(filed: str, tmp_path: Path) -> None:
     """The calibrations are 20 days old."""
     file = tmp_path / "plant.prom"
