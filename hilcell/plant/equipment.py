@@ -332,7 +332,7 @@ class _Grids(NamedTuple):
 
     @property
     def quantities(self) -> dict[str, Series]:
-        """What is judged: rms of its points along the main direction, mm."""
+        """The quantities that are judged: rms of their points along the main direction, mm."""
         known_c = self.celsius if np.isfinite(self.celsius).all() else None
         return {
             what: Series(
