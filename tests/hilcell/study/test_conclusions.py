@@ -14,7 +14,6 @@ from msgspec.structs import replace
 from scipy.stats import beta, binom
 
 from hilcell.decoding import Json
-from hilcell.ports import Array
 from hilcell.study.analysis import answers, front_of
 from hilcell.study.case import Row
 from hilcell.study.design import Case
@@ -22,6 +21,15 @@ from hilcell.study.html import page
 from hilcell.study.inference import Interval, OneMachine, Share, Within, holm, tolerance_limit
 from hilcell.study.study_file import Study
 from hilcell.study.tables import Summary
+from tests.hilcell.study.null_studies import (
+    THIRTY_TWO,
+    THREE_LEVELS,
+    Errors,
+    alike,
+    null_studies,
+    scattered,
+    together,
+)
 from tests.hilcell.study.studies import TWO_FACTORS, study
 from tests.hilcell.study.test_analysis import ended, rows, shares
 from tests.hilcell.study.test_study_file import factor, refused
@@ -29,13 +37,6 @@ from tests.hilcell.study.test_study_file import factor, refused
 FOUR = "machines = 4"
 ASKED = "[question]\nlimit_mm = 0.1\nshare = 0.95\nconfidence = 0.95"
 SWEEPS = factor(name="s", setting="sweeps.enabled", levels=[False, True])
-THREE_LEVELS = (
-    factor(name="a", setting="layout.nest_samples", levels=[2, 5, 9])
-    + factor(name="b", setting="grid.pitch_mm", levels=[450.0, 300.0, 225.0])
-    + factor(name="c", setting="touch.poses", levels=[0, 4, 8])
-    + factor(name="d", setting="base_frame.points", levels=[8, 12, 16])
-)
-THIRTY_TWO = 'design = "sobol"\nsamples = 32\nmachines = 4'
 
 
 def with_truth(found: list[Row], truth_mm: Callable[[Row], float]) -> list[Row]:
@@ -117,7 +118,7 @@ def test_a_step_into_one_design_that_fails_is_no_gain(tmp_path: Path, machines: 
 
 def test_a_gain_whose_own_cases_fail_more_is_no_gain(tmp_path: Path) -> None:
     """Failures are of b, of which a Sobol design has more beside one level of a than the other."""
-    asked = study(tmp_path, THREE_LEVELS, THIRTY_TWO)
+    asked = study(tmp_path, THREE_LEVELS, THIRTY_TWO.format(4))
     found = rows(asked, lambda c: 0.1 - 0.03 * shares(c)[0] + 1e-4 * c.machine)
     (gain,) = (each for each in answers(asked, found).purchases if each.word == "5")
     assert gain.shown == "gain"
@@ -284,64 +285,20 @@ def test_one_machine_more_lies_where_it_is_said(machines: int) -> None:
 
 # -- no gain out of noise --------------------------------------------------------------------------
 
-Errors = Callable[[np.random.Generator, Array, int], Array]
-
-
-def scattered(random: np.random.Generator, points: Array, machines: int) -> Array:
-    """One level scatters four times as much as the others, and shifts by machine."""
-    noisy = points[:, 3] == 2
-    sigma_mm = np.where(noisy, 0.02, 0.005)[:, None]
-    shift_mm = noisy[:, None] * random.normal(0.06, 0.02, machines)
-    return np.asarray(shift_mm + sigma_mm * random.standard_normal((len(points), machines)))
-
-
-def alike(random: np.random.Generator, points: Array, machines: int) -> Array:
-    """Half of the scatter is the same on all machines: that of the point."""
-    own = np.where(points[:, 3] == 2, 0.02, 0.005)[:, None] * random.standard_normal(
-        (len(points), 1)
-    )
-    return scattered(random, points, machines) + own
-
-
-def together(random: np.random.Generator, points: Array, machines: int) -> Array:
-    """Two factors act together; averaged over the other, neither does anything."""
-    both = random.normal(0.0, 0.02, (3, 3))
-    both -= both.mean(axis=0)
-    both -= both.mean(axis=1)[:, None]
-    both_mm = both[points[:, 0].astype(int), points[:, 3].astype(int)][:, None]
-    return np.asarray(scattered(random, points, machines) + both_mm)
-
 
 @pytest.mark.parametrize("errors", [scattered, alike, together])
 def test_steps_that_do_nothing_are_rarely_shown(tmp_path: Path, errors: Errors) -> None:
     """Steps of a, b and c do nothing: in at most 5 % of studies is any shown, by Holm."""
-    machines = 8
-    asked = study(tmp_path, THREE_LEVELS, THIRTY_TWO.replace("4", str(machines)))
-    model, wrong = rows(asked, lambda c: 0.0), 0
-    numbers = sorted({row.point for row in model})
-    first = [row for row in model if row.machine == 1]
-    points = np.array([
-        [each.ends.index(row.levels[each.name]) for each in asked.factor] for row in first
-    ])  # fmt: skip
-    studies = 30
-    for seed in range(studies):
-        random = np.random.default_rng(seed)
-        figures = 0.1 + random.normal(0.0, 0.01, machines)
-        figures = figures + errors(random, points, machines)
-        drawn = [
-            replace(row, figures=row.figures
-                    | {"mean_mm": figures[numbers.index(row.point), row.machine - 1]})
-            for row in model
-        ]  # fmt: skip
-        found = answers(asked, drawn)
-        wrong += any(
-            each.shown in {"gain", "loss"} for each in found.purchases if each.factor.name != "d"
-        )
+    asked, studies = study(tmp_path, THREE_LEVELS, THIRTY_TWO.format(8)), 30
+    wrong = sum(
+        any(step.shown in {"gain", "loss"} for step in found.purchases if step.factor.name != "d")
+        for found in (answers(asked, own) for own in null_studies(asked, errors, range(studies)))
+    )
     assert wrong <= binom.ppf(0.999, studies, 0.05)
 
 
 def test_a_step_that_does_something_is_shown(tmp_path: Path) -> None:
-    asked = study(tmp_path, THREE_LEVELS, THIRTY_TWO)
+    asked = study(tmp_path, THREE_LEVELS, THIRTY_TWO.format(4))
     random = np.random.default_rng(3)
     found = answers(
         asked, rows(asked, lambda c: 0.1 - 0.02 * (shares(c)[1] == 1.0) + random.normal(0.0, 0.002))
