@@ -6,7 +6,7 @@ Inconsistent are serial numbers or names that several cells or runs share, and c
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -16,13 +16,24 @@ from operator import attrgetter
 from uuid import UUID
 
 import msgspec
-from sqlalchemy import CTE, ColumnElement, Connection, Subquery, Text, and_, cast, func, or_, select
+from sqlalchemy import (
+    CTE,
+    ColumnElement,
+    Connection,
+    Executable,
+    Subquery,
+    Text,
+    and_,
+    cast,
+    func,
+    select,
+)
 
 from hilcell.decoding import decoded
 from hilcell.journal.calibration_status import statuses
 from hilcell.journal.index import RunRow, in_order
 from hilcell.model.calibration import CLOCK_ERROR, MAX_AGE_DAYS
-from hilcell.plant.tables import CLAIM, OUTCOME, RUN, Row, grouped
+from hilcell.plant.tables import BATCH, CLAIM, OUTCOME, RUN, Row, grouped
 from hilcell.sanitize import clean, counted
 
 CELL = (RUN.c.cell, RUN.c.serial, RUN.c.machine)
@@ -129,42 +140,41 @@ def _cell_keys() -> CTE:
 
 def _runs_since(connection: Connection, doubts: list[Doubt]) -> defaultdict[Name, list[RunRow]]:
     """Return each cell's runs since its newest valid calibration, which superseded all before."""
-    every = _cell_keys()
+    every, earlier = _cell_keys(), RUN.alias("earlier")
     proven = (
-        select(RUN.c.ended)
-        .where(RUN.c.cell_key == every.c.key, RUN.c.newest, RUN.c.proven)
-        .order_by(RUN.c.ended.desc())
+        select(earlier.c.ended)
+        .where(earlier.c.cell_key == every.c.key, earlier.c.newest, earlier.c.proven)
+        .order_by(earlier.c.ended.desc())
         .limit(1)
         .correlate(every)
         .scalar_subquery()
     )
-    begun = connection.execute(select(every.c.key, proven.label("ended"))).all()
-    known = [and_(RUN.c.cell_key == key, RUN.c.ended >= ended) for key, ended in begun if ended]
-    runs, spoilt = _run_rows(connection, known, doubts)
+    # As a join, the table of outcomes would be read whole.
+    row = select(cast(OUTCOME.c.row, Text)).where(OUTCOME.c.digest == RUN.c.digest)
+    of_runs = select(*_STATED, RUN.c.machine, RUN.c.cell_key, row.scalar_subquery().label("row"))
+    of_runs = of_runs.where(RUN.c.newest)
+    since = and_(RUN.c.cell_key == every.c.key, RUN.c.ended >= proven)
+    runs, spoilt = _run_rows(connection, of_runs.join_from(every, RUN, since), doubts)
     # The calibration from which to read on may be one that is left out.
-    return runs | _run_rows(connection, [RUN.c.cell_key == key for key in spoilt], doubts)[0]
+    for start in range(0, len(spoilt), BATCH):
+        whole = of_runs.where(RUN.c.cell_key.in_(spoilt[start : start + BATCH]))
+        runs |= _run_rows(connection, whole, doubts)[0]
+    return runs
 
 
 def _run_rows(
-    connection: Connection, of_cells: Sequence[ColumnElement[bool]], doubts: list[Doubt]
-) -> tuple[defaultdict[Name, list[RunRow]], set[UUID]]:
+    connection: Connection, query: Executable, doubts: list[Doubt]
+) -> tuple[defaultdict[Name, list[RunRow]], list[UUID]]:
     """Return the runs of cells, and the keys of cells of which one was left out."""
     runs: defaultdict[Name, list[RunRow]] = defaultdict(list)
-    spoilt: set[UUID] = set()
-    batch = 200  # cells of one query
-    for start in range(0, len(of_cells), batch):
-        query = (
-            select(*_STATED, RUN.c.machine, RUN.c.cell_key, cast(OUTCOME.c.row, Text).label("row"))
-            .outerjoin(OUTCOME, OUTCOME.c.digest == RUN.c.digest)
-            .where(or_(*of_cells[start : start + batch]), RUN.c.newest)
-        )
-        for row in connection.execute(query):
-            before = len(doubts)
-            with left_out(row, doubts):
-                runs[row.cell, row.serial, row.machine].append(_run_row(row))
-            if len(doubts) > before:
-                spoilt.add(row.cell_key)
-    return runs, spoilt
+    spoilt: dict[UUID, None] = {}
+    for row in connection.execute(query):
+        before = len(doubts)
+        with left_out(row, doubts):
+            runs[row.cell, row.serial, row.machine].append(_run_row(row))
+        if len(doubts) > before:
+            spoilt[row.cell_key] = None
+    return runs, list(spoilt)
 
 
 _TIMES = ("begun", "ended")
@@ -203,7 +213,7 @@ def left_out(run: Row, doubts: list[Doubt]) -> Iterator[None]:
 
 def _state(last: Row, since: list[RunRow], now: datetime, max_age_days: float) -> CellState:
     known = statuses(since)
-    ended_here = [known[row.name] for row in in_order(since) if row.name in known]
+    ended_here = [known[row.name] for row in in_order(row for row in since if row.name in known)]
     state = CellState(
         cell=last.cell, serial=last.serial, machine=last.machine,
         last_run=last.name, last_state=last.state, last_ended=last.ended,

@@ -129,6 +129,6 @@ def limit(connection: Connection, order_s: float, *, as_text: bool) -> None:
         "idle_in_transaction_session_timeout": REST_S,
     }
     limits = {name: f"{at * 1000:.0f}" for name, at in limits_s.items()}  # ms
-    limits["work_mem"] = SORTED
+    limits |= {"work_mem": SORTED, "jit": "off"}  # to compile takes as long as to answer
     sets = (f"set_config('{name}', '{at}', true)" for name, at in limits.items())
     connection.execute(sql(f"SELECT {', '.join(sets)}"))

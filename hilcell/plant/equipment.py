@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from sqlalchemy import Connection, Text, and_, cast, func, or_, select
 
 from hilcell.decoding import Json, decoded
+from hilcell.geometry.kinematics import Array
 from hilcell.identity import Identity, changed_asset_kinds
 from hilcell.journal.index import RunRow
 from hilcell.model.verdicts import OTHERS, VALIDATION
@@ -52,7 +53,6 @@ from hilcell.plant.tables import (
     grouped,
     joined,
 )  # fmt: skip
-from hilcell.ports import Array
 
 YEAR_S = 365.25 * 86400.0
 BoolArray = NDArray[np.bool_]
