@@ -6,12 +6,13 @@ import getpass
 import importlib.util
 import os
 import sys
+from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from datetime import UTC, datetime
-from operator import attrgetter
-from typing import TYPE_CHECKING, Self, TypeVar
+from datetime import UTC, datetime, timedelta
+from operator import attrgetter, itemgetter
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import msgspec
 
@@ -54,6 +55,10 @@ if TYPE_CHECKING:
     )
 
 T = TypeVar("T")
+SOON_DAYS = 14
+RECENT = timedelta(days=365)  # steps before the last calibration
+MOST_ALARMS = 20  # kinds that `show` prints
+MOST_OF_CELL = 100  # rows of one cell in each list of `show --json`
 
 
 def init(args: PlantInit) -> int:
@@ -130,7 +135,7 @@ def show(args: PlantShow) -> int:
     if args.json:
         print_json(msgspec.to_builtins(overview))
     elif overview.cells:
-        _print_overview(overview)
+        _print_overview(overview, whole=bool(args.all or args.cell or args.robot))
     else:
         print_message(f"plant database {database.name}: no runs were shipped yet")
     return EXIT_OUT_OF_TOLERANCE if overdue else EXIT_OK
@@ -168,20 +173,44 @@ METRICS: tuple[tuple[str, str, Callable[[CellState], float | None]], ...] = (
 )  # fmt: skip
 
 
-def _print_overview(overview: Overview) -> None:
+def _print_overview(overview: Overview, *, whole: bool) -> None:
+    """Print all cells, those that ask for an act first, and of the other tables the rows that ask
+    for one; ``whole``: all rows.
+    """
     robots = overview.robots
-    print_table(Table(CELLS, overview.cells))
-    print_table(Table(DRIFTS, [(each, drift) for each in robots for drift in each.drift]))
-    for each in robots:
-        for what, reason in each.not_judged.items():
-            robot = f"robot {harmless(each.robot)} in {harmless(each.cell)}"
-            print_data(f"{robot}: no drift of {what}: {reason}")
-    print_table(Table(STEPS, [(each, step) for each in robots for step in each.changes]))
+    valid = [each for each in overview.cells if each.condition == "valid"]
+    valid.sort(key=attrgetter("days_left"))
+    others = [each for each in overview.cells if each.condition != "valid"]
+    soon = sum(each.days_left is not None and each.days_left <= SOON_DAYS for each in valid)
+    print_data(
+        f"{counted(len(overview.cells), 'cell')}: {len(others)} without a valid calibration, "
+        f"{soon} with one for {SOON_DAYS} days or less"
+    )
+    print_table(Table(CELLS, others + valid))
+
+    def part(
+        columns: Sequence[Column[T]], rows: Sequence[T], asks: Callable[[T], bool], others: str
+    ) -> None:
+        shown = rows if whole else [row for row in rows if asks(row)]
+        print_table(Table(columns, shown))
+        if more := len(rows) - len(shown):
+            print_data(f"{more} more {others}: --cell NAME or --all")
+
+    drifts = [(each, drift) for each in robots for drift in each.drift]
+    part(DRIFTS, drifts, lambda row: row[1].drifts, "drifts that are not significant")
+    unknown = [(each, *why) for each in robots for why in each.not_judged.items()]
+    part(UNKNOWN, unknown, lambda _: False, "drifts that are not judged")
+    steps = [(each, step) for each in robots for step in each.changes]
+    steps.sort(key=lambda row: row[1].until, reverse=True)
+    part(STEPS, steps, lambda row: row[0].last - row[1].until < RECENT, "steps of over a year ago")
     print_table(Table(STATIONS, overview.stations))
-    print_table(Table(INSTRUMENTS, overview.instruments))
-    print_table(Table(ALARMS, overview.alarms[:MOST_ALARMS]))
-    if (more := len(overview.alarms) - MOST_ALARMS) > 0:
-        print_data(f"{more} more kinds of alarms, which are rarer; --json has all")
+    disagrees = attrgetter("disagrees_with")
+    part(INSTRUMENTS, overview.instruments, disagrees, "instruments that disagree with no other")
+    frequent = overview.alarms[:MOST_ALARMS]
+    part(ALARMS, overview.alarms, frequent.__contains__, "kinds of alarms that are rarer")
+    for table, count in overview.left_out.items():
+        if count:
+            print_data(f"{table}: {count} left out, beyond {MOST_OF_CELL} of one cell")
     for doubt in overview.doubts:
         print_data(harmless_lines(f"note: {doubt}"))
 
@@ -219,6 +248,7 @@ class Overview:
     instruments: list[Instrument]
     alarms: list[AlarmCount]
     doubts: list[str]
+    left_out: dict[str, int]  # rows by table
 
     @classmethod
     def queried(cls, connection: Connection, args: PlantShow) -> Self:
@@ -241,14 +271,32 @@ class Overview:
             if cell in ("", state.cell)
             and (not robot or (state.cell, state.serial, state.machine) in places)
         ]
+        found: dict[str, Sequence[Any]] = {
+            "robots": trends,
+            "stations": worse_stations(connection, cell, robot),
+            "instruments": instruments(connection, cell, robot),
+            "alarms": alarms(connection, cell, robot),
+        }
+        kept = {name: _of_each_cell(rows) for name, rows in found.items()}
         return cls(
             cells=states,
-            robots=trends,
-            stations=worse_stations(connection, cell, robot),
-            instruments=instruments(connection, cell, robot),
-            alarms=alarms(connection, cell, robot),
+            **kept,
             doubts=inconsistencies(connection, {state.cell for state in states}, left_out),
+            left_out={name: len(rows) - len(kept[name]) for name, rows in found.items()},
         )
+
+
+def _of_each_cell(rows: Sequence[Any]) -> list[Any]:
+    """Return the first rows of each cell: a login that writes ever new names hides no other's."""
+    known: Counter[str] = Counter()
+    kept = []
+    for row in rows:
+        cells = row.cells if hasattr(row, "cells") else [row.cell]
+        below = [cell for cell in cells if known[cell] < MOST_OF_CELL]
+        if below:
+            known.update(below)
+            kept.append(row)
+    return kept
 
 
 def _day(moment: datetime | None) -> str:
@@ -281,6 +329,12 @@ DRIFTS: tuple[Column[tuple[RobotTrend, Drift]], ...] = (
     Column("significant", lambda row: "yes" if row[1].drifts else "no"),
     Column("noise", lambda row: row[1].noise_mm, "mm", ".4f"),
 )
+UNKNOWN: tuple[Column[tuple[RobotTrend, str, str]], ...] = (
+    Column("robot", lambda row: row[0].robot),
+    Column("cell", lambda row: row[0].cell),
+    Column("no drift of", itemgetter(1)),
+    Column("because", itemgetter(2)),
+)
 STEPS: tuple[Column[tuple[RobotTrend, Change]], ...] = (
     Column("robot", lambda row: row[0].robot),
     Column("cell", lambda row: row[0].cell),
@@ -307,20 +361,19 @@ INSTRUMENTS: tuple[Column[Instrument], ...] = (
     Column("instrument", attrgetter("kind")),
     Column("serial", attrgetter("serial")),
     Column("model", attrgetter("model")),
-    Column("cells", lambda each: ", ".join(each.cells)),
+    Column("cells", lambda each: _names(each.cells)),
     Column("runs", attrgetter("runs"), form="d"),
     Column("last", lambda each: _day(each.last)),
     Column("scale", attrgetter("scale_ppm"), "ppm", "+z.1f"),
     Column("u", attrgetter("u_ppm"), "ppm", ".1f"),
     Column("disagrees with", lambda each: ", ".join(each.disagrees_with)),
 )
-MOST_ALARMS = 50  # in the table
 ALARMS: tuple[Column[AlarmCount], ...] = (
     Column("alarm", attrgetter("code")),
     Column("title", attrgetter("title")),
     Column("severity", attrgetter("severity")),
     Column("count", attrgetter("count"), form="d"),
-    Column("cells", lambda each: ", ".join(each.cells)),
+    Column("cells", lambda each: _names(each.cells)),
     Column("last", lambda each: _day(each.last)),
 )
 

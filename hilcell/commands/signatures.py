@@ -418,6 +418,7 @@ class PlantShow(Signature):
     max_age: float = option(
         "validity of a calibration (default: 180)", "DAYS", parse_days, default=180.0
     )
+    all: bool = option("print all rows, not only those that ask for an act", default=False)
     check: bool = option("exit code 1 if a cell has no valid calibration", default=False)
     metrics: Path | None = option(
         "also write days left and last shipment of each cell, for Prometheus",

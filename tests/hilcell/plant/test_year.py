@@ -192,6 +192,70 @@ def test_tables_name_the_collision_too(filed: str) -> None:
         assert words in out
 
 
+def test_a_hall_is_shown_by_what_asks_for_an_act(filed: str) -> None:
+    """All cells, and of the rest what changed: --all, --cell and --json have all rows."""
+    needed = command("plant", "show", "--from", filed).stdout
+    whole = command("plant", "show", "--from", filed, "--all").stdout
+    for words in ("middle-11", "north-11", "south-11", "T-0, T-1"):
+        assert words in needed
+    every = asked(filed)
+    hidden = [
+        sum(len(each["drift"]) for each in every["robots"]),
+        sum(not each["disagrees_with"] for each in every["instruments"]),
+    ]
+    assert [int(each) for each in re.findall(r"(\d+) more ", needed)] == hidden
+    assert "R-0" not in needed
+    assert "more " not in whole
+    for out in (whole, command("plant", "show", "--from", filed, "--cell", "north").stdout):
+        assert "R-0" in out
+
+
+def test_cells_that_need_a_calibration_are_first(
+    model: Model, office: Database, tmp_path: Path
+) -> None:
+    now = datetime.now(UTC)
+    for cell, days in (("a", 20), ("b", 200), ("c", 175)):
+        model.write(tmp_path / "runs", Run(f"run-{cell}", cell, f"HC-{cell}", now - days * DAY))
+    asked_after(office.name, tmp_path / "runs")
+    first, *lines = command("plant", "show", "--from", office.name).stdout.splitlines()
+    assert [int(each) for each in re.findall(r"\d+", first)] == [3, 1, 1, 14]
+    names = [found[1] for line in lines if (found := re.search(r"\brun-([abc]), finished", line))]
+    assert names == ["b", "c", "a"]
+
+
+def test_names_of_one_login_leave_room_for_those_of_others(
+    model: Model, office: Database, tmp_path: Path
+) -> None:
+    for cell in ("north", "south"):
+        fault = COLLISION if cell == "south" else None
+        began = NOW - 9 * DAY
+        model.write(
+            tmp_path / "runs", Run(cell, cell, f"HC-{cell}", began, f"R-{cell}", fault=fault)
+        )
+    asked_after(office.name, tmp_path / "runs")
+    count = 300
+    with office.transaction() as connection:
+        digest = connection.execute(
+            text("SELECT digest FROM run WHERE cell = 'north'")
+        ).scalar_one()
+        rows = [
+            {"digest": digest, "n": n, "t": "2026-01-01 00:00:00.000000", "code": f"HC-A{n}"}
+            for n in range(count)
+        ]
+        order = (
+            "INSERT INTO alarm (digest, n, t, code, severity, title, place, found) VALUES "
+            "(:digest, :n, :t, :code, 'fault', 'x', 'x', 'x')"
+        )
+        connection.execute(text(order), rows)
+    found = asked(office.name)
+    assert COLLISION["code"] in {each["code"] for each in found["alarms"]}
+    assert len(found["alarms"]) + found["left_out"]["alarms"] == count + 1
+    assert found["left_out"]["alarms"] >= 100
+    assert found["left_out"]["instruments"] == 0
+    shown = command("plant", "show", "--from", office.name).stdout
+    assert len(shown.splitlines()) < 60
+
+
 def test_one_cell_or_one_robot_alone(filed: str) -> None:
     of_cell = asked(filed, "--cell", "north")
     assert {each["cell"] for each in of_cell["cells"]} == {"north"}
