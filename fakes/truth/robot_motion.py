@@ -181,12 +181,13 @@ class RobotMotion:
             self._to = np.array(target_rad, dtype=float)
             distance = self._to - self._from
             distance_rad = np.abs(distance)
-            moved = distance_rad > not_moved_rad
-            self._side = np.where(moved, np.sign(distance), self._side)
+            moved, sides = distance_rad > not_moved_rad, np.sign(distance)
+            all_moved = all(moved.tolist())
+            self._side = sides if all_moved else np.where(moved, sides, self._side)
             key = ",".join([f"{joint:.6f}" for joint in self._to.tolist()])
             draw, before = self._landings(key), self._landing
             self._landing = _once(draw)
-            if not moved.all():  # joints that have not moved keep their error
+            if not all_moved:  # joints that have not moved keep their error
                 landing_rad = np.where(moved, draw(), before())
                 self._landing = lambda: landing_rad
             duration_s = max((distance_rad / self._speed_rad_s).tolist())

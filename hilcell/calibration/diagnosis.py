@@ -29,7 +29,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from msgspec.structs import replace
 
-from hilcell.calibration.budget import ValidatedTargets, growth_since
+from hilcell.calibration.budget import growth_since
 from hilcell.calibration.causes import (
     LARGE_AXES,
     PENALTY,
@@ -50,7 +50,7 @@ from hilcell.calibration.frames import (
     hold_covariance,
     world_covariance,
 )
-from hilcell.calibration.from_run import learnt_so_far
+from hilcell.calibration.from_run import learnt_so_far, learnt_targets
 from hilcell.calibration.influence import SIZE, NoBound, motion, nearest_semidefinite
 from hilcell.calibration.instrument import axis_off, scale
 from hilcell.calibration.known_arm import slipped_mount
@@ -561,16 +561,16 @@ class SecondVisits:
 
 def uncovered_targets(log: Log) -> list[Suspicion]:
     """Stations whose corrected targets are too often outside of their bounds."""
-    calibration, fitted = learnt_so_far(log), log.verdict(Fitted)
-    if calibration is None or fitted is None:
+    fitted = log.verdict(Fitted)
+    if fitted is None:
         return []
     least_inside = 0.82  # of corrected targets, within bounds that 95 % should keep
     least_without_curves = 0.6  # where the gears' ripple is not known: 0.73 was seen
     least = least_inside if fitted.curves.used else least_without_curves
     suspicions = []
     validation = "validation"
-    for name in (station.name for station in log.cell.station):
-        validated = ValidatedTargets(calibration, log, name)
+    for validated in learnt_targets(log):
+        name = validated.station
         try:
             coverage = validated.coverage
         except NoBound:  # the report states why
@@ -581,7 +581,7 @@ def uncovered_targets(log: Log) -> list[Suspicion]:
         if chance_of_at_most(coverage.inside, len(coverage), least) > RISK:
             continue
         points = validated.points
-        R = calibration.base(name)[:3, :3]
+        R = validated.calibration.base(name)[:3, :3]
         sigmas_mm = np.repeat(coverage.bounds_mm / bounds95_mm(np.eye(3)[None])[0], 3)
         differences = Differences(
             validated.errors.error_mm @ R,
@@ -612,19 +612,15 @@ class TargetDeviations(NamedTuple):
     @classmethod
     def of(cls, log: Log) -> Self | None:
         """Deviations of the corrected targets; None without targets or bound."""
-        calibration = learnt_so_far(log)
-        if calibration is None:
-            return None
         parts, arm = [], log.cell.robot.arm()
-        for name in (station.name for station in log.cell.station):
-            validated = ValidatedTargets(calibration, log, name)
+        for validated in learnt_targets(log):
             if len(validated.points) < 2:
                 continue
             try:
                 bounds, error_mm = validated.bounds, validated.errors.error_mm
             except NoBound:  # the report states why
                 return None
-            R = calibration.base(name)[:3, :3]
+            R = validated.calibration.base(validated.station)[:3, :3]
             J = zero_columns(arm, commanded_rad(validated.points))
             off_mm, freedom = error_mm - error_mm.mean(axis=0), float(bounds.freedom.min())
             parts.append(cls(off_mm, bounds.covariance_mm2, R @ J[:, :, :LARGE_AXES], freedom))

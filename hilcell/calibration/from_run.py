@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from hilcell import __version__
-from hilcell.calibration.budget import target_uncertainty, touch_influence
+from hilcell.calibration.budget import ValidatedTargets, target_uncertainty, touch_influence
 from hilcell.calibration.file import SCHEMA, Calibration, ModelEntry, Validity, written_now
 from hilcell.calibration.frames import Frames
 from hilcell.calibration.grid import learnt_points, measured_errors, measured_grid
@@ -110,8 +110,24 @@ def calibration_so_far(log: Log, run: str) -> Calibration | None:
 
 
 def learnt_so_far(log: Log) -> Calibration | None:
-    """Return the calibration of no run yet, for what it predicts."""
-    return calibration_so_far(log, "")
+    """Return the calibration of no run yet, for what it predicts: of the verdicts it has only those
+    when it was first asked for since the last measurement.
+    """
+    return _since_fit(log)[0] if _has_model(log) else None
+
+
+def learnt_targets(log: Log) -> list[ValidatedTargets]:
+    """Return the corrected targets of each station, with the bounds of `learnt_so_far`."""
+    return _since_fit(log)[1] if _has_model(log) else []
+
+
+def _since_fit(log: Log) -> tuple[Calibration, list[ValidatedTargets]]:
+    return log.once_measured(_learnt, log.verdict_records["fit"].seq)
+
+
+def _learnt(log: Log, _: int) -> tuple[Calibration, list[ValidatedTargets]]:
+    calibration = calibration_from_log(log, "")
+    return calibration, [ValidatedTargets(calibration, log, s.name) for s in log.cell.station]
 
 
 def _has_model(log: Log) -> bool:

@@ -152,8 +152,9 @@ def _refuse_metres(key: str, lengths_mm: Sequence[float]) -> None:
 
 def posture(rail_mm: float, joints_rad: Array) -> Array:
     """Return postures (..., 7): the slide's position and joints (..., 6)."""
-    places = np.full((*joints_rad.shape[:-1], 1), rail_mm)
-    return np.concatenate([places, joints_rad], axis=-1)
+    postures = np.empty((*joints_rad.shape[:-1], 7))
+    postures[..., 0], postures[..., 1:] = rail_mm, joints_rad
+    return postures
 
 
 def _boxes(volumes: list[KeepOut]) -> Boxes:

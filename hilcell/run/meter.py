@@ -226,7 +226,8 @@ class Meter(Mover):
             ),
         }
         if robot is not None:
-            check_pose(self.cell.robot, robot, f"measure {id.key}")
+            nominal = self.upcoming.nominal(robot.joints_rad)
+            check_pose(self.cell.robot, robot, f"measure {id.key}", nominal)
             body |= {"joints_deg": np.degrees(robot.joints_rad), "pose": robot.pose}
         self.last = self.point(id, **body | facts)
         return self.last
