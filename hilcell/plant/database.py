@@ -9,7 +9,7 @@ import logging
 import re
 import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import chain
 from pathlib import Path
 from urllib.parse import quote, unquote_to_bytes
@@ -205,6 +205,8 @@ class Database:
                 f"connection refused: {line.rpartition('failed: ')[2]}; check sslmode, sslrootcert "
                 "and the host name in the URL, and the server's certificate"
             )
+        if getattr(cause, "sqlstate", "") == "55P03":  # lock not available
+            line += f"; open transactions that write are of {self._writers()}"
         if self._unavailable(error, cause):
             remote, local = "the server and the network", "the folder, its permissions and the disk"
             return PlantUnavailable(
@@ -225,6 +227,18 @@ class Database:
                 f"GRANT {ENGINEER} TO NAME"
             )
         return refused
+
+    def _writers(self) -> str:
+        """Return the logins, with their processes, of all transactions that write."""
+        locks = text(
+            "SELECT DISTINCT usename, pid FROM pg_locks JOIN pg_stat_activity USING (pid) "
+            "WHERE granted AND mode <> 'AccessShareLock' AND relation = ANY(ARRAY["
+            "to_regclass('run'), to_regclass('claim')]) ORDER BY usename, pid"
+        )
+        with suppress(HilcellError), self.transaction() as connection:
+            rows = connection.execute(locks).all()
+            return ", ".join(f"{clean(row.usename)} (process {row.pid})" for row in rows)
+        return "unknown logins"
 
     @staticmethod
     def _login_refused(cause: BaseException, line: str) -> bool:

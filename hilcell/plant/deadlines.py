@@ -19,7 +19,7 @@ from sqlalchemy import Connection
 from sqlalchemy import text as sql
 
 CONNECT_S = 10
-LOCK_S = 30.0
+LOCK_S = 10.0
 ORDER_S = 120.0  # one statement
 MIGRATION_S = 4 * 3600.0  # one statement of a migration
 REST_S = 600.0  # idle time of this side within a transaction, before the server frees its locks

@@ -20,7 +20,7 @@ from typing import NamedTuple
 from uuid import UUID
 
 import msgspec
-from sqlalchemy import Connection, func, or_, select, tuple_
+from sqlalchemy import JSON, Connection, Table, cast, column, func, literal, or_, select, tuple_
 from sqlalchemy.dialects import postgresql, sqlite
 
 from hilcell.calibration.file import seal_problems
@@ -41,11 +41,13 @@ from hilcell.plant.record import (
     Document,
     RunNotFinished,
     RunRecord,
+    Values,
     cell_key_of,
     heads,
     run_key_of,
     run_record,
 )
+from hilcell.plant.rights import CELL
 from hilcell.plant.tables import BATCH, CLAIM, LOGIN, POINT, RUN, Row
 from hilcell.sanitize import clean
 
@@ -94,8 +96,21 @@ def write(connection: Connection, record: RunRecord, heads: Sequence[str], ended
         return False
     for table, every in record.rows.items():
         if every and table is not RUN:
-            connection.execute(table.insert(), every)
+            _insert(connection, table, every)
     return True
+
+
+def _insert(connection: Connection, table: Table, rows: Sequence[Values]) -> None:
+    """Insert rows; on PostgreSQL points, of which there are many, by one order and as JSON, which
+    has all their digits; a journal has finite numbers alone.
+    """
+    if table is not POINT or connection.dialect.name != POSTGRESQL:
+        connection.execute(table.insert(), rows)
+        return
+    sent = cast(literal(msgspec.json.encode(rows).decode()), JSON)
+    columns = [column(each.name, each.type) for each in table.c]
+    received = func.json_to_recordset(sent).table_valued(*columns).render_derived(with_types=True)
+    connection.execute(table.insert().from_select(list(table.c), select(received)))
 
 
 def _claim(connection: Connection, run: Row) -> None:
@@ -231,6 +246,7 @@ def ship(
     if (runs / JOURNAL).is_file():
         raise PlantError(f"expected a folder of runs, got that of one run: {clean(str(runs))}")
     database.check()
+    _check_right(database)
     done = Shipped()
     cache = _ShippedCache(runs)
     rows = in_order(read_index(runs))
@@ -266,6 +282,18 @@ def ship(
     here |= _waiting(runs, [row for row in rows if row.name in done.waiting and not row.live])
     done.behind = _newer_in_database(database, here)
     return done
+
+
+def _check_right(database: Database) -> None:
+    """Raise `RightMissing` for a login that may not ship, also where nothing is to be shipped."""
+    if database.has_logins:
+        with database.transaction() as connection:
+            may = select(func.has_any_column_privilege(RUN.name, "INSERT"))
+            if not connection.execute(may).scalar_one():
+                raise RightMissing(
+                    f"plant database {database.name}: this login may not ship; the database's "
+                    f"owner admits it: GRANT {CELL} TO NAME"
+                )
 
 
 def _without_journal(runs: Path) -> dict[str, str]:

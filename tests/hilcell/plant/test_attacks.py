@@ -224,6 +224,14 @@ def test_a_cell_is_assigned_ahead(both: Plant, model: Model, tmp_path: Path) -> 
     assert command("plant", "ship", tmp_path / "west", "--to", both.url("north")).returncode == 0
 
 
+def test_a_login_that_may_not_ship_is_told_although_all_is_shipped(both: Plant) -> None:
+    """A timer with the wrong login must not succeed."""
+    done = command("plant", "ship", both.folder / "north", "--to", both.url("reader"))
+    assert done.returncode == 2
+    assert CELL in done.stderr
+    assert command("plant", "ship", both.folder / "north", "--to", both.url()).returncode == 0
+
+
 def test_the_owner_ships_for_all_and_claims_nothing(
     both: Plant, model: Model, tmp_path: Path
 ) -> None:

@@ -140,7 +140,9 @@ def test_locks_long_orders_and_frozen_cells_are_ended_by_the_server(
     with monkeypatch.context() as patch, psycopg.connect(url) as other:
         patch.setattr(deadlines, "LOCK_S", SHORT_S)
         other.execute("LOCK TABLE run")
-        assert "lock timeout" in refused("ship", runs, "--to", url, code=7)
+        said = refused("ship", runs, "--to", url, code=7)
+        assert "lock timeout" in said
+        assert f"owner (process {other.info.backend_pid})" in said
     with monkeypatch.context() as patch:
         patch.setattr(deadlines, "ORDER_S", SHORT_S)
         with (
