@@ -69,6 +69,7 @@ class GoldenRuns:
             return json.dumps([done.returncode, done.stdout, done.stderr])
 
         code, out, err = json.loads(once(self._shared / f"golden-{name}.json", perform))
+        assert code == 0, f"golden run {name}: {err}"
         return GoldenRun(runs / name, subprocess.CompletedProcess(name, code, out, err))
 
 
