@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import threading
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,8 +45,7 @@ class SmoothCurve:
         return total
 
 
-@dataclass(frozen=True, slots=True)
-class RailState:
+class RailState(NamedTuple):
     """The rail at one poll: encoder, strip and switches; unquantised."""
 
     encoder_mm: float

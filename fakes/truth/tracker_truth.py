@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -30,8 +29,7 @@ from hilcell.fit.measurements import read_measurements
 from hilcell.ports import Air
 
 
-@dataclass(frozen=True, slots=True)
-class Measurement:
+class Measurement(NamedTuple):
     """Stationary measurements: position (..., 3) and 1-sigma (..., 3), mm, tracker's frame."""
 
     xyz_mm: Array
