@@ -18,7 +18,7 @@ from fakes.time import CellTime, CountedTime
 from fakes.truth.cell_truth import CellTruth
 from fakes.truth.machine import controller_arm
 from fakes.truth.rail_truth import RailTruth
-from fakes.truth.robot_motion import RobotState
+from fakes.truth.robot_motion import RobotMotion, RobotState
 from fakes.truth.tracker_truth import Followed
 from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell
@@ -52,7 +52,7 @@ class InProcessCell:
         self.rail: Rail = load_entry("rails", "none")(None, self.clock)
         if isinstance(truth.rail, RailTruth):
             self.rail = DirectRail(truth.rail, passing, self.clock, cell)
-        self.robot: Robot = DirectRobot(truth, self.clock, cell)
+        self.robot: Robot = DirectRobot(truth.robot, passing, self.clock, cell)
         tracker = DirectTracker(truth, self.clock, cell)
         self.tracker: Tracker = tracker
         self._truth, self._tracker = truth, tracker
@@ -146,15 +146,14 @@ class DirectRail:
 
 
 class DirectRobot:
-    """Satisfies `hilcell.ports.Robot`, `Sweeps` and `Foresees`."""
+    """Satisfies `hilcell.ports.Robot` and `Sweeps`."""
 
-    def __init__(self, truth: CellTruth, clock: Clock, cell: Cell) -> None:
-        self.motion, self.time, self._clock = truth.robot, truth.time, clock
-        self._arm, self._true = controller_arm(cell), truth.arm
+    def __init__(self, motion: RobotMotion, passing: CellTime, clock: Clock, cell: Cell) -> None:
+        self.motion, self.time, self._clock = motion, passing, clock
+        self._arm = controller_arm(cell)
         self._full_rad_s = np.radians([joint.speed_deg_s for joint in cell.robot.joint])
         self._ended_s: float | None = None
         self._stated: tuple[RobotState | None, Array] = None, np.eye(4)  # the pose at rest
-        self._expected: dict[bytes, Array] = {}  # poses (4, 4), by joints
 
     def connect(self) -> list[Identity]:
         self.motion.brake()  # it stands
@@ -173,18 +172,11 @@ class DirectRobot:
     def read(self) -> RobotReading:
         state = self.motion.state()
         if state is not self._stated[0]:
-            at = self._expected.get(state.joints_rad.tobytes())
-            self._stated = state, self._arm.chain.pose(state.joints_rad) if at is None else at
+            self._stated = state, self._arm.chain.pose(state.joints_rad)
         pose = self._stated[1].copy()
         return RobotReading(
             state.joints_rad.copy(), pose, not state.moving, self._clock.pc_s(), self._ended_s
         )
-
-    def expect(self, joints_rad: Array) -> None:
-        """Compute the poses at joints (N, 6) at once, as stated and as they are."""
-        rows = zip(joints_rad, self._arm.chain.pose(joints_rad), strict=True)
-        self._expected = {joints.tobytes(): pose for joints, pose in rows}
-        self._true.expect(joints_rad)
 
     @contextmanager
     def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> Iterator[DirectSweep]:

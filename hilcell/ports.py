@@ -536,14 +536,6 @@ class Sweeps(Protocol):
 
 
 @runtime_checkable
-class Foresees(Protocol):
-    """A robot that prepares many motions at once: a simulated one."""
-
-    def expect(self, joints_rad: Array) -> None:
-        """Prepare for stops at joints (N, 6). Nothing moves; other stops may come instead."""
-
-
-@runtime_checkable
 class ExternalAxis(Protocol):
     """A robot whose controller moves the slide, too, over the robot's one connection.
 

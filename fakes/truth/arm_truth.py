@@ -234,7 +234,6 @@ class ArmTruth:
         self.targets_mm, self.commands_rad = self._design.targets_mm, self._design.commands_rad
         self.joint_sigma_rad = sizes.rp_mm / self._design.unit_rp_mm
         self.slip_rad = np.zeros(6)  # of brakes
-        self._expected: dict[bytes, Array] = {}  # turns (6,), by the controller's joints at rest
         self._draw(machine.errors, rng)
 
     def pose(self, joints_rad: Array, side: Array, landing_rad: Array, warm_k: float = 0) -> Array:
@@ -255,19 +254,7 @@ class ArmTruth:
         ``rates_rad_s`` (..., 6): of the joints; None at rest.
         """
         lost = side * self.half_gap_rad + landing_rad
-        turned_rad = None if rates_rad_s is not None else self._expected.get(joints_rad.tobytes())
-        if turned_rad is None:
-            turned_rad = self._by_angles(joints_rad, rates_rad_s)
-        return turned_rad + lost
-
-    def expect(self, joints_rad: Array) -> None:
-        """Compute at once what `true_joints` needs at rest at each of joints (N, 6)."""
-        rows = zip(joints_rad, self._by_angles(joints_rad), strict=True)
-        self._expected = {joints.tobytes(): turned_rad for joints, turned_rad in rows}
-
-    def forget(self) -> None:
-        """Expect nothing: the arm has changed."""
-        self._expected.clear()
+        return self._by_angles(joints_rad, rates_rad_s) + lost
 
     def strain(self, warm_k: float) -> float:
         return self._machine.transmission.growth_um_m_k * 1e-6 * warm_k

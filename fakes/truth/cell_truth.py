@@ -223,7 +223,6 @@ class CellTruth:
 
     def _forget(self) -> None:
         self._joints_cache, self._places_cache = (None, np.zeros(6)), None
-        self.arm.forget()
 
     def base_in_world(self) -> Array:
         """Return the base frame (4, 4) in {W} that circles of axes 1 and 6 give without errors."""

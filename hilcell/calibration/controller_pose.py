@@ -32,12 +32,9 @@ class Deviation:
 
     limit_rad = float(ROUNDING_RAD + 6.0 * AXIS_RAD)
 
-    def __init__(
-        self, arm: Arm, joints_rad: Array, pose: Array, nominal: Array | None = None
-    ) -> None:
-        """``nominal`` (4, 4) is the arm's pose at the joints, if known."""
+    def __init__(self, arm: Arm, joints_rad: Array, pose: Array) -> None:
         self._arm, self._joints_rad, self._pose = arm, joints_rad, pose
-        self._nominal = forward(arm, joints_rad) if nominal is None else nominal
+        self._nominal = forward(arm, joints_rad)
         self.shift_mm: Array = pose[:3, 3] - self._nominal[:3, 3]
 
     @property
@@ -74,15 +71,11 @@ class Deviation:
         return bool(self.off_mm <= limit_mm and np.linalg.norm(self.turn_rad) <= limit_rad)
 
 
-def check_pose(
-    robot: RobotTable, reading: RobotReading, operation: str, nominal: Array | None = None
-) -> Deviation:
-    """The deviation; raises `DeviceError` beyond rounding and factory calibration. ``nominal`` (4,
-    4) is the arm's pose at the reading's joints, if known.
-    """
+def check_pose(robot: RobotTable, reading: RobotReading, operation: str) -> Deviation:
+    """The deviation; raises `DeviceError` beyond rounding and factory calibration."""
     factory_mm, factory_rad = 15.0, np.radians(1.0)  # what links measured in a factory may explain
     arm = robot.arm()
-    found = Deviation(arm, reading.joints_rad, reading.pose, nominal)
+    found = Deviation(arm, reading.joints_rad, reading.pose)
     if found.rounded:
         return found
     limit_mm, limit_rad = found.limit_mm, found.limit_rad

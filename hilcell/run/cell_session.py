@@ -116,7 +116,7 @@ class CellSession(Watch):
         above, what = ids[0].side > 0, ids[0].key
         rest = self.rests.robot_s, self.cell.settle.robot_s
         robot = self.robot_to(joints_rad, what, above=above, straight=straight, rest_s=rest[0])
-        T_W_T = self.frames.base_in_world(station) @ self.upcoming.nominal(joints_rad)
+        T_W_T = self.frames.base_in_world(station) @ forward(self.cell.robot.arm(), joints_rad)
         seats_mm, samples = self.cell.robot.seats_mm, self.cell.tracker.samples
         stray_mm = 10.0  # in the measured base: nominal errors are far less, a lost zero is more
         for n, id in enumerate(ids):

@@ -229,21 +229,16 @@ RESERVE_MM = 5.0  # beyond the required clearance; a plan has 10
 
 
 class UpcomingPoses:
-    """Poses that are computed, and whose paths are proven, in advance; keyed by exact joints."""
+    """Poses whose paths are proven in advance, keyed by exact joint values."""
 
     def __init__(self, cell: Cell) -> None:
         self._cell = cell
         # The posture (7,) from which its paths are proven, if they are; whether it leaves the cube.
         self._upcoming: dict[bytes, tuple[Array | None, bool]] = {}
-        self._nominal: dict[bytes, Array] = {}
 
     def expect(self, rail_mm: float, joints_rad: Array) -> None:
         """Prove the paths from the safe pose to joints (N, 6) in sequence, each from below."""
         cell = self._cell
-        poses = forward(cell.robot.arm(), joints_rad)
-        self._nominal = {
-            joints.tobytes(): pose for joints, pose in zip(joints_rad, poses, strict=True)
-        }
         if cell.surroundings is None:
             return
         before_rad = np.vstack([np.radians(cell.robot.safe_deg), joints_rad])[:-1]
@@ -258,11 +253,6 @@ class UpcomingPoses:
                 zip(joints_rad, leaves_cube(cell, joints_rad), strict=True)
             )
         }
-
-    def nominal(self, joints_rad: Array) -> Array:
-        """Return the tool's frame in {B} (4, 4) at joints (6,), by the cell file."""
-        known = self._nominal.get(joints_rad.tobytes())
-        return forward(self._cell.robot.arm(), joints_rad) if known is None else known
 
     def clear(self, rail_mm: float, from_rad: Array, to_rad: Array) -> bool:
         """Whether the paths from joints (6,) to others, from below, are within the reserve."""

@@ -226,8 +226,7 @@ class Meter(Mover):
             ),
         }
         if robot is not None:
-            nominal = self.upcoming.nominal(robot.joints_rad)
-            check_pose(self.cell.robot, robot, f"measure {id.key}", nominal)
+            check_pose(self.cell.robot, robot, f"measure {id.key}")
             body |= {"joints_deg": np.degrees(robot.joints_rad), "pose": robot.pose}
         self.last = self.point(id, **body | facts)
         return self.last

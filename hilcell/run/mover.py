@@ -38,7 +38,6 @@ from hilcell.ports import (
     Array,
     Clock,
     DeviceError,
-    Foresees,
     NoReading,
     Rail,
     RailReading,
@@ -341,7 +340,7 @@ class Mover(RunContext):
         return Rests.of(self.cell)
 
     @cached_property
-    def upcoming(self) -> UpcomingPoses:
+    def _upcoming(self) -> UpcomingPoses:
         return UpcomingPoses(self.cell)
 
     # -- the rail -----------------------------------------------------------------------------
@@ -601,13 +600,11 @@ class Mover(RunContext):
 
     def expect(self, station: Station, joints_rad: Array) -> None:
         """Prove the paths to the next joints (N, 6), in sequence, at once."""
-        self.upcoming.expect(station.strip_mm, joints_rad)
-        if isinstance(self.devices.robot, Foresees):
-            self.devices.robot.expect(np.concatenate([below(self.cell, joints_rad), joints_rad]))
+        self._upcoming.expect(station.strip_mm, joints_rad)
 
     def _stops(self, motion: RobotMotion, joints_rad: Array, what: str, above: bool) -> list[Array]:
         now_rad = joints_rad if self.cell.surroundings is None else motion.resting_rad()
-        if not above and self.upcoming.clear(motion.strip_mm, now_rad, joints_rad):
+        if not above and self._upcoming.clear(motion.strip_mm, now_rad, joints_rad):
             return [below(self.cell, joints_rad), joints_rad]
         return waypoints(self.cell, motion.strip_mm, now_rad, joints_rad, what, above=above)
 
@@ -629,7 +626,7 @@ class Mover(RunContext):
     def _speed_percent(self, strip_mm: float, joints_rad: Array, what: str) -> float:
         """Return the speed to joints (6,); announce the first unknown pose and pause."""
         usual = self.cell.robot.speed_percent
-        if self.cell.surroundings is None or not self.upcoming.leaves_cube(joints_rad):
+        if self.cell.surroundings is None or not self._upcoming.leaves_cube(joints_rad):
             return usual
         known = (self.log.visited_poses, *self._visited_before)
         if any(visited.has(strip_mm, joints_rad) for visited in known):

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from hilcell.cell.file import Cell, KeepOut, Pose
 from hilcell.cell.surroundings import Surroundings, posture
 from hilcell.geometry.clearance import Proof, placed_mm
-from hilcell.geometry.kinematics import forward
 from hilcell.journal.journal import Record
 from hilcell.model.point import PointId
 from hilcell.ports import Array, DeviceError, RobotReading
@@ -420,16 +419,6 @@ def test_a_cell_without_volumes_expects_nothing() -> None:
     coming = UpcomingPoses(bare(CELL))
     coming.expect(S1100.strip_mm, np.array([LEFT, FARTHER]))
     assert not coming.clear(S1100.strip_mm, LEFT, FARTHER)
-
-
-def test_a_nominal_pose_has_the_same_digits_expected_or_not() -> None:
-    coming, rng = UpcomingPoses(CELL), np.random.default_rng(1)
-    poses_rad = HOME + np.radians(rng.uniform(-15.0, 15.0, (20, 6)))
-    for expected in (poses_rad[:0], poses_rad):
-        coming.expect(S1100.strip_mm, expected)
-        for joints_rad in (*poses_rad, HOME):
-            nominal = forward(CELL.robot.arm(), joints_rad)
-            assert np.array_equal(coming.nominal(joints_rad), nominal)
 
 
 def test_what_leaves_the_cube_does_so_expected_or_not() -> None:

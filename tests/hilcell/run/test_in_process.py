@@ -60,20 +60,6 @@ def test_the_same_seeds_are_the_same_digits(log: Log, tmp_path: Path) -> None:
     assert CALIBRATE.result(performed(tmp_path)) == CALIBRATE.result(log)
 
 
-def test_poses_computed_at_once_are_the_same_digits(
-    log: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of each record: the robot computes each pose when it is there."""
-    expected = list[int]()
-    monkeypatch.setattr(
-        DirectRobot, "expect", lambda _, joints_rad: expected.append(len(joints_rad))
-    )
-    one_by_one = performed(tmp_path)
-    assert max(expected) > len(log.cell.station)
-    assert one_by_one.points == log.points
-    assert one_by_one.verdicts == log.verdicts
-
-
 def test_another_machine_is_another_result(log: Log, tmp_path: Path) -> None:
     other = CALIBRATE.result(performed(tmp_path, machine=2))
     assert of_targets(other, "before") != pytest.approx(
