@@ -84,11 +84,9 @@ class StreamFile:
             self._append(SAMPLES, rows.tobytes())
             if self._first_s is None:
                 self._first_s = self._last_s = float(block.device_s[0])
-            times_s = block.device_s
-            steps_s = times_s[1:] - times_s[:-1]
-            first_s = float(times_s[0]) - self._last_s
-            self._gap_s = max(self._gap_s, first_s, float(steps_s.max(initial=0.0)))
-            self._last_s = float(times_s[-1])
+            steps_s = np.diff(block.device_s, prepend=self._last_s)
+            self._gap_s = max(self._gap_s, float(steps_s.max()))
+            self._last_s = float(block.device_s[-1])
         for sample in joints:
             times_s = sample.before_s, sample.after_s, sample.device_s
             self._append(JOINTS, JOINT_ROW.pack(*sample.joints_rad.tolist(), *times_s))

@@ -318,7 +318,10 @@ class _Grids(NamedTuple):
         return every.chosen(np.argsort(ended_s, kind="stable"))
 
     def chosen(self, which: NDArray[np.bool_ | np.int_]) -> Self:
-        return self._make(each[which] for each in self)
+        return type(self)(
+            self.digests[which], self.ended_s[which], self.celsius[which],
+            self.errors_mm[which], self.bases_mm[which],
+        )  # fmt: skip
 
     def last_s(self) -> float:
         return float(self.ended_s[-1])
