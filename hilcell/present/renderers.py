@@ -15,6 +15,7 @@ from hilcell.sanitize import harmless, harmless_lines
 
 if TYPE_CHECKING:
     from jinja2 import Environment
+    from rich.console import Console
     from rich.table import Table as Drawn
     from xlsxwriter.format import Format
     from xlsxwriter.worksheet import Worksheet
@@ -27,23 +28,29 @@ def drawn(table: Table, room: int | None) -> str:
 
     In a narrow terminal long words are folded: those of the first column stay whole, to be copied.
     """
-    from rich.console import Console
-
-    width = width_of(table)
-    folded = room is not None and room < width
-    text = io.StringIO()
-    console = Console(file=text, markup=False, highlight=False, width=WIDEST)
-    console.width = room if room is not None and folded else width
-    console.print(_built(table, folded=folded))
+    text, made = io.StringIO(), _built(table, folded=False)
+    console = _console(text)
+    if room is not None and room < _width(made):
+        made, console.width = _built(table, folded=True), room
+    console.print(made)
     return text.getvalue()
 
 
 def width_of(table: Table) -> int:
-    from rich.console import Console
+    return _width(_built(table, folded=False))
+
+
+def _width(made: Drawn) -> int:
     from rich.measure import Measurement
 
-    console = Console(file=io.StringIO(), markup=False, highlight=False, width=WIDEST)
-    return Measurement.get(console, console.options, _built(table, folded=False)).maximum
+    console = _console(io.StringIO())
+    return Measurement.get(console, console.options, made).maximum
+
+
+def _console(file: io.StringIO) -> Console:
+    from rich.console import Console
+
+    return Console(file=file, markup=False, highlight=False, width=WIDEST)
 
 
 def _built(table: Table, *, folded: bool) -> Drawn:
