@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import getpass
 import importlib.util
+import math
 import os
 import sys
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import msgspec
 
+from hilcell.alarms.catalogue import SEVERITIES
 from hilcell.atomic_files import write_whole
 from hilcell.cell.settings import did_you_mean
 from hilcell.commands.console import (
@@ -193,8 +195,8 @@ def _print_overview(overview: Overview, *, whole: bool) -> None:
     ) -> None:
         shown = rows if whole else [row for row in rows if asks(row)]
         print_table(Table(columns, shown))
-        if more := len(rows) - len(shown):
-            print_data(f"{more} more {others}: --cell NAME or --all")
+        if count := len(rows) - len(shown):
+            print_data(f"not shown: {others}: {count}; --cell NAME or --all prints all")
 
     drifts = [(each, drift) for each in robots for drift in each.drift]
     part(DRIFTS, drifts, lambda row: row[1].drifts, "drifts that are not significant")
@@ -202,17 +204,36 @@ def _print_overview(overview: Overview, *, whole: bool) -> None:
     part(UNKNOWN, unknown, lambda _: False, "drifts that are not judged")
     steps = [(each, step) for each in robots for step in each.changes]
     steps.sort(key=lambda row: row[1].until, reverse=True)
-    part(STEPS, steps, lambda row: row[0].last - row[1].until < RECENT, "steps of over a year ago")
-    print_table(Table(STATIONS, overview.stations))
+    part(STEPS, steps, _is_recent, "steps followed by a year of calibrations")
+    print_table(Table(STATIONS, sorted(overview.stations, key=_years_left)))
     disagrees = attrgetter("disagrees_with")
     part(INSTRUMENTS, overview.instruments, disagrees, "instruments that disagree with no other")
-    frequent = overview.alarms[:MOST_ALARMS]
-    part(ALARMS, overview.alarms, frequent.__contains__, "kinds of alarms that are rarer")
+    rank: dict[str, int] = {severity: -n for n, severity in enumerate(SEVERITIES)}
+    gravest = sorted(overview.alarms, key=lambda each: rank[each.severity])
+    part(ALARMS, gravest, gravest[:MOST_ALARMS].__contains__, "alarms that are less grave or rarer")
     for table, count in overview.left_out.items():
         if count:
-            print_data(f"{table}: {count} left out, beyond {MOST_OF_CELL} of one cell")
+            print_data(
+                f"{table}: {count} left out, beyond {MOST_OF_CELL} of one cell; --robot SERIAL "
+                "shows those of a robot"
+            )
     for doubt in overview.doubts:
         print_data(harmless_lines(f"note: {doubt}"))
+
+
+def _is_recent(row: tuple[RobotTrend, Change]) -> bool:
+    robot, step = row
+    return robot.last - step.until < RECENT
+
+
+def _is_out(station: StationTrend) -> bool:
+    return station.tolerance_mm is not None and station.out_in_years is None
+
+
+def _years_left(station: StationTrend) -> float:
+    """Return the years until a station is out of tolerance; infinite without a tolerance."""
+    without = 0.0 if _is_out(station) else math.inf
+    return without if station.out_in_years is None else station.out_in_years
 
 
 def _require_packages(*names: str) -> None:
@@ -277,7 +298,7 @@ class Overview:
             "instruments": instruments(connection, cell, robot),
             "alarms": alarms(connection, cell, robot),
         }
-        kept = {name: _of_each_cell(rows) for name, rows in found.items()}
+        kept = {name: _of_each_cell(rows, ASKS[name]) for name, rows in found.items()}
         return cls(
             cells=states,
             **kept,
@@ -286,17 +307,31 @@ class Overview:
         )
 
 
-def _of_each_cell(rows: Sequence[Any]) -> list[Any]:
-    """Return the first rows of each cell: a login that writes ever new names hides no other's."""
+ASKS: Mapping[str, Callable[[Any], bool]] = {  # whether a row asks for an act
+    "robots": lambda each: (
+        any(drift.drifts for drift in each.drift)
+        or any(_is_recent((each, step)) for step in each.changes)
+    ),
+    "stations": lambda _: True,
+    "instruments": lambda each: bool(each.disagrees_with),
+    "alarms": lambda each: bool(each.severity == "fault"),
+}
+
+
+def _of_each_cell(rows: Sequence[Any], asks: Callable[[Any], bool]) -> list[Any]:
+    """Return some rows of each cell, in their order; of too many those that ask for an act.
+
+    A login that writes ever new names hides no row of another's cell.
+    """
     known: Counter[str] = Counter()
     kept = []
-    for row in rows:
-        cells = row.cells if hasattr(row, "cells") else [row.cell]
+    for n in sorted(range(len(rows)), key=lambda n: not asks(rows[n])):
+        cells = rows[n].cells if hasattr(rows[n], "cells") else [rows[n].cell]
         below = [cell for cell in cells if known[cell] < MOST_OF_CELL]
         if below:
             known.update(below)
-            kept.append(row)
-    return kept
+            kept.append(n)
+    return [rows[n] for n in sorted(kept)]
 
 
 def _day(moment: datetime | None) -> str:
@@ -355,7 +390,10 @@ STATIONS: tuple[Column[StationTrend], ...] = (
     Column("tolerance", attrgetter("tolerance_mm"), form="g"),
     Column("mm a year", attrgetter("mm_per_year"), form="+z.3f"),
     Column("95 %", lambda each: f"{each.low_mm_per_year:+z.3f} .. {each.high_mm_per_year:+z.3f}"),
-    Column("out in years", attrgetter("out_in_years"), form=".1f"),
+    Column(
+        "out in years",
+        lambda each: "out" if _is_out(each) else f"{_years_left(each):.1f}".replace("inf", ""),
+    ),
 )
 INSTRUMENTS: tuple[Column[Instrument], ...] = (
     Column("instrument", attrgetter("kind")),
@@ -366,7 +404,7 @@ INSTRUMENTS: tuple[Column[Instrument], ...] = (
     Column("last", lambda each: _day(each.last)),
     Column("scale", attrgetter("scale_ppm"), "ppm", "+z.1f"),
     Column("u", attrgetter("u_ppm"), "ppm", ".1f"),
-    Column("disagrees with", lambda each: ", ".join(each.disagrees_with)),
+    Column("disagrees with", lambda each: _names(each.disagrees_with)),
 )
 ALARMS: tuple[Column[AlarmCount], ...] = (
     Column("alarm", attrgetter("code")),

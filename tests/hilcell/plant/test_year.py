@@ -20,10 +20,13 @@ import pytest
 from psycopg.rows import dict_row
 from sqlalchemy import text
 
+from hilcell.commands.plant import INSTRUMENTS, STATIONS
 from hilcell.journal.runs import read_records
 from hilcell.plant.database import Database
+from hilcell.plant.equipment import Instrument, StationTrend
 from hilcell.plant.rights import ENGINEER
 from hilcell.plant.shipper import ship
+from hilcell.present.table import Table
 from tests.conftest import shared_folder
 from tests.hilcell.plant.conftest import DAY, NOW
 from tests.hilcell.plant.server import BLANK, Server
@@ -203,9 +206,9 @@ def test_a_hall_is_shown_by_what_asks_for_an_act(filed: str) -> None:
         sum(len(each["drift"]) for each in every["robots"]),
         sum(not each["disagrees_with"] for each in every["instruments"]),
     ]
-    assert [int(each) for each in re.findall(r"(\d+) more ", needed)] == hidden
+    assert [int(each) for each in re.findall(r"not shown: .*: (\d+);", needed)] == hidden
     assert "R-0" not in needed
-    assert "more " not in whole
+    assert "not shown" not in whole
     for out in (whole, command("plant", "show", "--from", filed, "--cell", "north").stdout):
         assert "R-0" in out
 
@@ -239,21 +242,28 @@ def test_names_of_one_login_leave_room_for_those_of_others(
             text("SELECT digest FROM run WHERE cell = 'north'")
         ).scalar_one()
         rows = [
-            {"digest": digest, "n": n, "t": "2026-01-01 00:00:00.000000", "code": f"HC-A{n}"}
-            for n in range(count)
-        ]
+            {"digest": digest, "n": n, "t": "2026-01-01 00:00:00.000000", "code": f"HC-A{n}",
+             "severity": "fault" if n == 99 else "notice"}
+            for n in range(count, 0, -1)
+        ]  # fmt: skip
         order = (
             "INSERT INTO alarm (digest, n, t, code, severity, title, place, found) VALUES "
-            "(:digest, :n, :t, :code, 'fault', 'x', 'x', 'x')"
+            "(:digest, :n, :t, :code, :severity, 'x', 'x', 'x')"
         )
         connection.execute(text(order), rows)
     found = asked(office.name)
     assert COLLISION["code"] in {each["code"] for each in found["alarms"]}
     assert len(found["alarms"]) + found["left_out"]["alarms"] == count + 1
     assert found["left_out"]["alarms"] >= 100
+    assert {each["code"] for each in found["alarms"] if each["severity"] == "fault"} == {
+        COLLISION["code"],
+        "HC-A99",
+    }
     assert found["left_out"]["instruments"] == 0
     shown = command("plant", "show", "--from", office.name).stdout
     assert len(shown.splitlines()) < 60
+    assert "HC-A99 " in shown
+    assert "--robot SERIAL" in shown
 
 
 def test_one_cell_or_one_robot_alone(filed: str) -> None:
@@ -402,3 +412,25 @@ def test_every_panel_has_its_answer_of_the_year(
     south = [each["value"] for each in by_title["Trackers"] if each["metric"] == "T-2"]
     assert min(south) > 100.0
     assert sum(each["runs"] for each in rows["Runs of a month by their end"]) == 3 * MONTHS + 1
+
+
+def test_long_names_leave_room_for_the_row_s_own() -> None:
+    odd = Instrument(
+        kind="tracker", maker="Leica", model="AT401", serial="400200", firmware=[], cells=["a"],
+        runs=1, first=NOW, last=NOW, disagrees_with=[f"4000{n:02}" for n in range(60)],
+    )  # fmt: skip
+    assert Table(INSTRUMENTS, [odd]).texts()[0][-1] == "400000, 400001, 400002 and 57 more"
+
+
+@pytest.mark.parametrize(
+    ("tolerance_mm", "years", "said"), [(0.3, None, "out"), (0.3, 2.0, "2.0"), (None, None, "")]
+)
+def test_a_station_out_of_tolerance_says_so(
+    tolerance_mm: float | None, years: float | None, said: str
+) -> None:
+    station = StationTrend(
+        cell="a", serial="", machine="", station="S300", calibrations=9, mean_mm=0.4,
+        tolerance_mm=tolerance_mm, mm_per_year=0.1, low_mm_per_year=0.05, high_mm_per_year=0.2,
+        out_in_years=years,
+    )  # fmt: skip
+    assert Table(STATIONS, [station]).texts()[0][-1] == said
