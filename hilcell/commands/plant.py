@@ -284,7 +284,11 @@ class Overview:
             raise HilcellError(f"unknown cell {cell[:80]!r}{did_you_mean(cell, names)}")
         trends = robots(connection, robot, cell, left_out)
         if robot and not trends:
-            raise HilcellError(f"robot {robot[:80]!r} has no calibration in these records")
+            where = f"in cell {cell[:80]!r}" if cell else "in these records"
+            unread = f"; {counted(len(left_out), 'run')} cannot be read: `show` names them"
+            raise HilcellError(
+                f"robot {robot[:80]!r} has no calibration {where}{unread * bool(left_out)}"
+            )
         places = {(each.cell, each.serial, each.machine) for each in trends}
         states = [
             state

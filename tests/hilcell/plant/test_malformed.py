@@ -148,6 +148,8 @@ def test_a_run_that_cannot_be_read_is_named_and_left_out(
     assert {each["cell"]: each["calibrations"] for each in shown["robots"]}["north"] == 2
     if table is GRID:
         assert {each["cell"]: each["calibrations"] for each in shown["robots"]}["south"] == 2
+        refused = command("plant", "show", "--from", both.url("reader"), "--robot", "R-9")
+        assert refused.stderr.count("in these records; 1 run cannot be read") == 1
     else:
         assert both.calibration("south") == "south-20"
 
