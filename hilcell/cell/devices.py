@@ -434,13 +434,15 @@ def start_simulation(
 ) -> ports.SimulatedCell | None:
     """Start the simulated cell of the cell file, if any.
 
-    ``seed`` is its machine's, None for a running one; ``run_seed``: of the run, for its noise. A
-    replay needs the run's ``session`` instead. ``more`` (faults, ports, truth) is for `hilcell
-    sim`.
+    ``seed`` is its machine's, None for a running one; ``run_seed``: of the run, for its noise. Each
+    ``session`` has noise of its own: a resumed run must not read the same again. ``more`` (faults,
+    ports, truth) is for `hilcell sim`.
     """
     if cell.simulation is None:
         return None
-    more |= {"session": session} if is_replay(cell) else {"run_seed": run_seed}
+    sessions = 2**32  # beyond all seeds of runs
+    noise_seed = None if run_seed is None else run_seed + (session - 1) * sessions
+    more |= {"session": session} if is_replay(cell) else {"run_seed": noise_seed}
     simulator = load_entry("simulators", cell.simulation.simulator)
     simulated: ports.SimulatedCell = simulator(cell, seed=seed, speed=speed, **more)
     return simulated

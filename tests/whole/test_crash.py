@@ -1,6 +1,8 @@
 """kill -9 at any moment, then resume: nothing acknowledged is lost or measured twice."""
 
+import math
 import random
+from itertools import combinations, starmap
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,7 @@ import pytest
 from campaigns.kills import figures, killed, problems
 from hilcell.commands.cli import main
 from hilcell.errors import EXIT_STORAGE
+from hilcell.journal.runs import read_log
 from tests.fakes.rail_bench import Line
 from tests.whole.bench import (
     SMALL,
@@ -89,6 +92,19 @@ def test_a_run_resumes_from_between_any_two_records(
         for key, value in figures(end["result"]).items():
             limit_mm = 0.06 if key.endswith(".idw") else 0.03
             assert value == pytest.approx(wanted[key], abs=limit_mm), (seq, key)
+
+
+def test_a_resumed_simulation_has_noise_of_its_own(tmp_path: Path, golden: GoldenRuns) -> None:
+    """Else a visit after a death repeats the first one, and repeatability is half as large."""
+    whole, place = golden["small"], "repeatability/{}/{:03}"
+    *_, half = (e["seq"] for e in whole.events if e.get("key") == place.format(0, 4))
+    folder = tmp_path / "half"
+    cut(whole.folder, folder, half)
+    assert command("resume", "half", "--runs", tmp_path).returncode == 0
+    points = read_log(folder).points
+    for n in range(3):
+        visits = [points[place.format(n, m)].xyz_mm for m in range(10)]
+        assert min(starmap(math.dist, combinations(visits, 2))) > 1e-3
 
 
 @pytest.mark.process
