@@ -21,19 +21,25 @@ from hilcell.decoding import Json
 from hilcell.errors import HilcellError, StoreUnavailable
 from hilcell.journal.index import NAME as INDEX
 from hilcell.plant.rights import CELL, CELL_COLUMNS, ENGINEER, admit
-from hilcell.plant.tables import HEAD, RUN, Joined, joined
+from hilcell.plant.tables import HEAD, LOCK_S, RUN, TABLES, Joined, joined
 from hilcell.sanitize import clean, counted
 
 MIGRATIONS = Path(__file__).with_name("migrations")
 POSTGRESQL = "postgresql"
-BUSY_S = 30.0  # wait for another process that writes an SQLite file
 HIDDEN = "***"
 SHIPPED = "plant.sqlite"  # cache in the folder of runs: which journals were shipped
 # A failed connection has no SQLSTATE: only the English message of the server, or a request for a
 # password, tells why.
 FATAL = "FATAL: "  # the server's reply to a connection
+FAILED = " failed: "  # libpq's reason follows
 # The server is not the one that the URL trusts, or has no TLS: repeating does not help.
 UNTRUSTED = re.compile(r"certificate|SSL was required|private key file")
+ALONE = "AccessExclusiveLock"
+AGAINST_WRITERS = [
+    "RowShareLock", "RowExclusiveLock", "ShareLock", "ShareRowExclusiveLock", "ExclusiveLock",
+    ALONE,
+]  # fmt: skip
+ANY_MODE = [*AGAINST_WRITERS, "AccessShareLock", "ShareUpdateExclusiveLock"]
 SECRET = re.compile("passw|pwd", re.IGNORECASE)  # in the names of the URL's options
 
 
@@ -53,6 +59,10 @@ class PlantUnavailable(StoreUnavailable):
     code = "HC-J20"
 
 
+class Locked(PlantUnavailable):
+    """Another transaction has a lock: of one cell, or of a whole table."""
+
+
 class Database:
     """A plant's database by its URL; connects lazily. Raises `PlantError`."""
 
@@ -65,7 +75,7 @@ class Database:
         shown = plain.render_as_string(hide_password=True)
         self.name = clean(shown.replace(quote(HIDDEN), HIDDEN))
         self.has_logins = self._url.get_backend_name() == POSTGRESQL  # SQLite is a file
-        options: dict[str, float] = {} if self.has_logins else {"timeout": BUSY_S}
+        options: dict[str, float] = {} if self.has_logins else {"timeout": LOCK_S}
         # psycopg's warnings repeat the raised error; without a handler they reach stderr.
         logging.getLogger("psycopg").addHandler(self._SILENT_LOG)
         self.engine: Engine = sa.create_engine(self._url, connect_args=options, pool_pre_ping=False)
@@ -89,6 +99,8 @@ class Database:
             raise self._error(error) from None  # SQLAlchemy's message has the values of all rows
         except UnicodeDecodeError as error:
             raise self._refusal(f"it has text that is not in UTF-8: {error.reason}") from None
+        except (UnicodeEncodeError, OverflowError) as error:  # before it reaches the database
+            raise self._refusal(f"a value does not fit its column: {error}") from None
 
     def check(self) -> None:
         """Raise `PlantError` where the schema is not this version's, or `PlantUnavailable`."""
@@ -192,21 +204,31 @@ class Database:
         """Return an error of the database in one line, without values and without a password."""
         cause = error.orig if isinstance(error, exc.StatementError) and error.orig else error
         message = getattr(getattr(cause, "diag", None), "message_primary", None)  # no values
-        line = clean(" ".join((message or str(cause)).split()))
+        whole = message or str(cause)
         for secret in self._secrets:
-            line = line.replace(secret, HIDDEN)
-        if self._login_refused(cause, line):
+            whole = whole.replace(secret, HIDDEN)
+        line = clean(" ".join(whole.split()))
+        if self._login_refused(cause, whole):
             return self._refusal(
-                f"login refused: {line.rpartition(FATAL)[2].strip()}; check the URL's user and "
-                "database, and the password in ~/.pgpass; the database's owner admits users"
+                f"login refused: {_reasons(whole) or line}; check the URL's user and database, and "
+                "the password in ~/.pgpass; the database's owner admits users"
             )
-        if getattr(cause, "pgconn", None) is not None and UNTRUSTED.search(line):
+        if getattr(cause, "pgconn", None) is not None and UNTRUSTED.search(whole):
             return self._refusal(
-                f"connection refused: {line.rpartition('failed: ')[2]}; check sslmode, sslrootcert "
-                "and the host name in the URL, and the server's certificate"
+                f"connection refused: {_reasons(whole) or line}; check sslmode, sslrootcert and "
+                "the host name in the URL, and the server's certificate"
             )
         if getattr(cause, "sqlstate", "") == "55P03":  # lock not available
-            line += f"; open transactions that write are of {self._writers()}"
+            holders = self._holders(str(getattr(error, "statement", "")))
+            return Locked(
+                f"plant database {self.name}: {line} after {LOCK_S:g} s; {holders}; nothing is "
+                "lost: repeat the command when the lock is free"
+            )
+        if getattr(cause, "sqlite_errorname", "").startswith("SQLITE_BUSY"):
+            return PlantUnavailable(
+                f"plant database {self.name}: {line} after {LOCK_S:g} s: another process uses this "
+                "file; nothing is lost: repeat the command when that process has ended"
+            )
         if self._unavailable(error, cause):
             remote, local = "the server and the network", "the folder, its permissions and the disk"
             return PlantUnavailable(
@@ -228,25 +250,44 @@ class Database:
             )
         return refused
 
-    def _writers(self) -> str:
-        """Return the logins, with their processes, of all transactions that write."""
+    def _holders(self, order: str) -> str:
+        """Return who has a lock of the plant's tables for which ``order`` may have waited."""
+        reads, kind, modes = order.lstrip().startswith("SELECT"), "relation", ANY_MODE
+        if "pg_advisory_xact_lock" in order:
+            kind = "advisory"
+        elif reads and "FOR UPDATE" not in order:
+            modes = [ALONE]
+        elif reads or order.lstrip().startswith(("INSERT", "UPDATE", "DELETE")):  # also for rows
+            modes = AGAINST_WRITERS
+        # A copy of a database has the same numbers of tables. Of a dropped login, or of a process
+        # of the server, there is no name. Others wait behind one that waits to be alone.
         locks = text(
-            "SELECT DISTINCT usename, pid FROM pg_locks JOIN pg_stat_activity USING (pid) "
-            "WHERE granted AND mode <> 'AccessShareLock' AND relation = ANY(ARRAY["
-            "to_regclass('run'), to_regclass('claim')]) ORDER BY usename, pid"
+            "SELECT DISTINCT COALESCE(usename, backend_type, 'a process of the server') AS login, "
+            "pid FROM pg_locks JOIN pg_stat_activity USING (pid) "
+            "WHERE locktype = :kind AND mode = ANY(:modes) AND (granted OR mode = :alone) "
+            "AND pid <> pg_backend_pid() AND (relation IS NULL OR relation IN "
+            "(SELECT to_regclass(name) FROM unnest(CAST(:names AS text[])) AS name)) AND "
+            "database = (SELECT oid FROM pg_database WHERE datname = current_database()) "
+            "ORDER BY login, pid"
         )
+        values = {
+            "kind": kind, "modes": modes, "alone": ALONE,
+            "names": [*TABLES.tables, "alembic_version"],
+        }  # fmt: skip
         with suppress(HilcellError), self.transaction() as connection:
-            rows = connection.execute(locks).all()
-            return ", ".join(f"{clean(row.usename)} (process {row.pid})" for row in rows)
-        return "unknown logins"
+            rows = connection.execute(locks, values).all()
+            if rows:
+                named = (f"{clean(row.login)} (process {row.pid})" for row in rows)
+                return f"transactions that hold a lock are of {', '.join(named)}"
+        return "who held the lock is not known: it is free by now, or of a prepared transaction"
 
     @staticmethod
-    def _login_refused(cause: BaseException, line: str) -> bool:
+    def _login_refused(cause: BaseException, whole: str) -> bool:
         """Whether the server refused this user: repeating does not help."""
         connecting = getattr(cause, "pgconn", None)
         if connecting is None or getattr(cause, "sqlstate", None) is not None:
             return False
-        if FATAL not in line:
+        if FATAL not in whole:
             return bool(connecting.needs_password)  # and there was none
         unknown = re.compile(
             r"authentication failed|no pg_hba\.conf entry|pg_hba\.conf rejects|"
@@ -254,7 +295,7 @@ class Database:
             r"permission denied for database"
         )
         full = "too many connections"
-        return bool(unknown.search(line) or (connecting.used_password and full not in line))
+        return bool(unknown.search(whole) or (connecting.used_password and full not in whole))
 
     @staticmethod
     def _unavailable(error: exc.SQLAlchemyError, cause: BaseException) -> bool:
@@ -273,6 +314,13 @@ class Database:
         values = [each if isinstance(each, tuple) else (each,) for each in options]
         passwords = {str(each) for each in [self._url.password, *chain(*values)] if each}
         return sorted(passwords, key=len, reverse=True)
+
+
+def _reasons(whole: str) -> str:
+    """Return what libpq says of each try to connect; it repeats a try without TLS."""
+    tries = [each.rpartition(FAILED) for each in whole.splitlines()]
+    reasons = [clean(why.removeprefix(FATAL)) for _, failed, why in tries if failed]
+    return "; ".join(dict.fromkeys(reasons))
 
 
 def _parsed(url: str) -> URL:

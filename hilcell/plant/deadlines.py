@@ -18,8 +18,9 @@ from psycopg.rows import TupleRow
 from sqlalchemy import Connection
 from sqlalchemy import text as sql
 
+from hilcell.plant.tables import LOCK_S
+
 CONNECT_S = 10
-LOCK_S = 10.0
 ORDER_S = 120.0  # one statement
 MIGRATION_S = 4 * 3600.0  # one statement of a migration
 REST_S = 600.0  # idle time of this side within a transaction, before the server frees its locks

@@ -33,6 +33,7 @@ from hilcell.plant.database import (
     POSTGRESQL,
     SHIPPED,
     Database,
+    Locked,
     PlantError,
     PlantUnavailable,
     RightMissing,
@@ -238,8 +239,9 @@ def ship(
 ) -> Shipped:
     """Ship all ended runs of a folder, in their order; ``on_shipped`` is called with each name.
 
-    A refused run does not stop the others. Raises `PlantUnavailable`, `PlantError`,
-    `RightMissing`, and `StorageError` for a folder that cannot be read.
+    A refused run does not stop the others; a cell that another transaction holds stops no other
+    cell. Raises `PlantUnavailable`, `PlantError`, `RightMissing`, and `StorageError` for a folder
+    that cannot be read.
     """
     if not runs.exists():  # a timer with a mistyped folder must not succeed
         raise PlantError(f"folder of runs {clean(str(runs))} does not exist")
@@ -251,26 +253,25 @@ def ship(
     cache = _ShippedCache(runs)
     rows = in_order(read_index(runs))
     here = cache.known(rows)
+    blocked: dict[UUID, str] = {}  # cells, by the first run that waited for a lock
     for row in _missing(rows, database, here, done):
+        cell = cell_key_of(row)
+        if cell in blocked:  # each would wait as long
+            done.refused[row.name] = f"run {row.name}: not tried, as its cell: {blocked[cell]}"
+            continue
         try:
-            records = read_records(runs / row.name)
-            here[row.name] = _key(row, records)
-            record = run_record(row.name, records, attachments(runs / row.name, row))
-            ended = next((n for n, each in enumerate(records) if each.kind == "end"), 0)
+            record, of_records, ended = _read(runs, row, here)
             with database.transaction() as connection:
-                new = write(connection, record, heads(records), ended)
+                new = write(connection, record, of_records, ended)
         except RunNotFinished:
             done.waiting.append(row.name)
             continue
-        except (PlantUnavailable, RightMissing):  # of every run
-            raise
         except HilcellError as error:
-            mend = f"; {RESTORE}" if isinstance(error, StorageError) else ""
-            done.refused[row.name] = _one_line(row.name, f"{error}{mend}")
-            continue
-        except _BROKEN as error:
-            wrong = f"its journal is not one of a run: {error}; {RESTORE}"
-            done.refused[row.name] = f"run {row.name}: {wrong}"
+            if isinstance(error, Locked):
+                blocked[cell] = f"run {row.name} waited for a lock"
+            elif isinstance(error, (PlantUnavailable, RightMissing)):  # of every run
+                raise
+            done.refused[row.name] = _one_line(row.name, str(error))
             continue
         cache.add(row, here[row.name])
         done.before += not new
@@ -282,6 +283,20 @@ def ship(
     here |= _waiting(runs, [row for row in rows if row.name in done.waiting and not row.live])
     done.behind = _newer_in_database(database, here)
     return done
+
+
+def _read(runs: Path, row: RunRow, here: dict[str, Key]) -> tuple[RunRecord, list[str], int]:
+    """Return a run's record, the hashes of its journal, and the index of its first end."""
+    try:
+        records = read_records(runs / row.name)
+        here[row.name] = _key(row, records)
+        record = run_record(row.name, records, attachments(runs / row.name, row))
+        ended = next((n for n, each in enumerate(records) if each.kind == "end"), 0)
+        return record, heads(records), ended
+    except StorageError as error:
+        raise PlantError(f"{error}; {RESTORE}") from error
+    except _BROKEN as error:
+        raise PlantError(f"its journal is not one of a run: {error}; {RESTORE}") from error
 
 
 def _check_right(database: Database) -> None:

@@ -497,6 +497,7 @@ DECISION = _table(
     _one_of("decision_what", "what", ("assigned", "accepted", "removed")),
 )  # fmt: skip
 BATCH = 500  # keys of one query
+LOCK_S = 10.0  # wait for another transaction, or another process that writes an SQLite file
 TRACKER = "tracker"  # of the kinds of `device`
 PARTS = (OUTCOME, FRAME, VERDICT, DEVICE, ALARM, LENGTH, GRID, STREAM, DOCUMENT, POINT)
 

@@ -87,9 +87,9 @@ class Server:
     def ask_password(self, user: str) -> None:
         """Let a user in by a password alone, from the next connection on."""
         rules = self._data / "pg_hba.conf"
-        rules.write_text(f"local all {user} scram-sha-256\n{rules.read_text()}")
-        with psycopg.connect(self.url(), autocommit=True) as connection:
-            connection.execute("SELECT pg_reload_conf()")
+        asks = f"local all {user} scram-sha-256\nhost all {user} all scram-sha-256\n"
+        rules.write_text(f"{asks}{rules.read_text()}")
+        self._do("pg_ctl", "reload", "-D", self._data)
 
     def write(self, name: str, content: bytes) -> None:
         """Write a file of its own, which it alone may read."""

@@ -5,6 +5,7 @@ A deadline is shortened only where what it ends can never come.
 
 from __future__ import annotations
 
+import json
 import re
 import sqlite3
 from contextlib import ExitStack, closing
@@ -18,12 +19,15 @@ from psycopg.pq import PGconn
 from sqlalchemy import event, text
 
 from hilcell.plant import database as plants
-from hilcell.plant import deadlines
-from hilcell.plant.database import Database, PlantUnavailable
+from hilcell.plant import deadlines, shipper
+from hilcell.plant.database import Database, Locked, PlantUnavailable
+from hilcell.plant.rights import CELL
 from hilcell.plant.shipper import Shipped, ship
-from tests.hilcell.plant.conftest import refused
+from tests.hilcell.plant.conftest import NOW, refused
+from tests.hilcell.plant.logins import Plant
 from tests.hilcell.plant.server import BLANK, Server
-from tests.whole.bench import sweep
+from tests.hilcell.plant.year import Model, Run
+from tests.whole.bench import command, sweep
 
 SHORT_S = 0.1
 LEAST_S = 2  # that libpq waits for a server
@@ -168,13 +172,105 @@ def test_locks_long_orders_and_frozen_cells_are_ended_by_the_server(
         frozen(cell)
 
 
+def blocked(order: str, database: Database, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Return what is said of an order that waits for a lock."""
+    with monkeypatch.context() as patch:
+        patch.setattr(deadlines, "LOCK_S", SHORT_S)
+        with pytest.raises(Locked) as said, database.transaction() as connection:
+            connection.execute(text(order))
+    return str(said.value)
+
+
+@pytest.mark.process
+def test_a_lock_is_of_those_who_have_it(
+    plant: Database, postgresql: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A reader blocks whom it can; a session of a copy, whose tables have the same numbers, none;
+    a login that was dropped meanwhile has no name.
+    """
+    url, like = postgresql.url(str(plant.engine.url.database)), postgresql.make(like=BLANK)
+    insert, alter = "INSERT INTO point SELECT * FROM point", "ALTER TABLE point ADD x integer"
+    with (
+        psycopg.connect(url) as reader, psycopg.connect(url) as owner, psycopg.connect(like) as far
+    ):  # fmt: skip
+        named = {each: f"(process {each.info.backend_pid})" for each in (reader, owner, far)}
+
+        def who(order: str) -> set[psycopg.Connection]:
+            said = blocked(order, plant, monkeypatch)
+            assert bool("not known" in said) is not any(each in said for each in named.values())
+            return {each for each, name in named.items() if name in said}
+
+        far.execute("LOCK TABLE point, run, claim")
+        reader.execute("SELECT * FROM point")
+        assert who(alter) == {reader}
+        owner.execute("LOCK TABLE point IN SHARE MODE")
+        assert who(insert) == {owner}
+        owner.rollback()
+        reader.rollback()
+        owner.execute("SELECT pg_advisory_xact_lock(7)")
+        assert who("SELECT pg_advisory_xact_lock(7)") == {owner}
+    with psycopg.connect(url, autocommit=True) as owner:
+        owner.execute("CREATE ROLE gone SUPERUSER LOGIN")
+        owner.execute(f"CREATE ROLE waits LOGIN IN ROLE {CELL}".encode())
+        other = url.replace("owner@", "gone@")
+        with (
+            psycopg.connect(other) as gone,
+            closing(Database(url.replace("owner", "waits"))) as waits,
+        ):
+            gone.execute("SELECT 1")
+            gone.execute("LOCK TABLE claim")
+            owner.execute("DROP ROLE gone")
+            name = f"(process {gone.info.backend_pid})"
+            assert f"client backend {name}" in blocked("SELECT * FROM claim", plant, monkeypatch)
+            said = blocked("SELECT * FROM claim", waits, monkeypatch)
+            assert f"a process of the server {name}" in said
+        owner.execute("DROP ROLE waits")
+
+
+@pytest.mark.process
+def test_a_cell_that_another_holds_keeps_no_other_waiting(
+    both: Plant, model: Model, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, cell in (("x1", "east"), ("x2", "east"), ("y", "south")):
+        model.write(tmp_path / "year", Run(name, cell, f"HC-{cell}", NOW))
+    with both.connect("north") as holder, holder.transaction():
+        holder.execute("INSERT INTO claim (cell, serial) VALUES ('east', 'HC-east')")
+        monkeypatch.setattr(deadlines, "LOCK_S", SHORT_S)
+        done = command("plant", "ship", tmp_path / "year", "--to", both.url("south"), "--json")
+        assert done.returncode == 7
+        said = json.loads(done.stdout)
+        assert (said["shipped"], set(said["refused"])) == (1, {"x1", "x2"})
+        assert both.logins["north"] in said["refused"]["x1"]
+        assert "x1" in said["refused"]["x2"]
+
+
+def test_an_error_of_the_database_blames_no_journal(
+    office: Database, runs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failed(*_: object) -> None:
+        raise TypeError("a fault of the database's own")
+
+    monkeypatch.setattr(shipper, "write", failed)
+    with pytest.raises(TypeError, match="own"):
+        ship(runs, office)
+
+
+def test_a_value_that_no_column_takes_keeps_no_other_run(office: Database, runs: Path) -> None:
+    (runs / "a").rename(runs / "a\udcff")
+    done = ship(runs, office)
+    assert (done.runs, list(done.refused)) == (1, ["a\udcff"])
+
+
 def test_an_office_s_file_that_another_writes_is_one_line(
     office: Database, runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(plants, "BUSY_S", SHORT_S)
+    monkeypatch.setattr(plants, "LOCK_S", SHORT_S)
     url = f"sqlite:///{tmp_path}/plant.db"
     with closing(sqlite3.connect(tmp_path / "plant.db")) as other:
         other.execute("BEGIN EXCLUSIVE")
-        assert "locked" in refused("ship", runs, "--to", url, code=7)
+        said = refused("ship", runs, "--to", url, code=7)
+        assert "locked" in said
+        assert "another process" in said
+        assert "disk" not in said
     monkeypatch.undo()
     assert ship(runs, office).runs == 2

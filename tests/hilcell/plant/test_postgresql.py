@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -333,5 +334,14 @@ def test_a_server_that_the_url_does_not_trust_is_refused(tmp_path: Path) -> None
             owner.execute("SELECT pg_reload_conf()")
             while owner.execute("SHOW ssl").fetchone() != ("on",):
                 pass
+            owner.execute("CREATE ROLE ann LOGIN PASSWORD 'right'")
+        own.ask_password("ann")
+        for user in ("ann", "nobody"):
+            wrong = f"postgresql://{user}:wrong@127.0.0.1:{port}/postgres"
+            said = refused("show", "--from", wrong)
+            (why,) = re.findall(r"login refused: (.*?); check", said)
+            assert why.endswith(f'"{user}"' if user == "ann" else "does not exist")
+        missing = refused("init", "--to", f"{url}?sslmode=verify-full&sslrootcert={tmp_path}/none")
+        assert f'root certificate file "{tmp_path}/none" does not exist; check' in missing
         codes = {mode: answered(mode) for mode in ("theirs.crt", "none.crt", "ours.crt")}
         assert codes == {"theirs.crt": 2, "none.crt": 2, "ours.crt": 0}
