@@ -96,11 +96,12 @@ class Design:
 
 
 class Ended(msgspec.Struct, frozen=True):
-    """How the cases of a level ended, on how many machines: how many have no result, and why."""
+    """How the cases of a level ended: how many have no result, on how many machines, and why."""
 
     cases: int = 0
     failed: int = 0
     cannot_be: int = 0
+    machines: int = 0
     all_machines: int = 0
     kinds: dict[str, int] = {}
 
@@ -116,11 +117,12 @@ class Ended(msgspec.Struct, frozen=True):
     @classmethod
     def of(cls, rows: Rows) -> Ended:
         counts = Counter(row.state for row in rows)
-        machines = len({row.machine for row in rows})
+        machines = len({row.machine for row in rows if row.state != DONE})
+        every = len({row.machine for row in rows})
         kinds = Counter(kind(row.reason) for row in rows if row.state != DONE)
         first = {kind(row.reason): brief(row.reason) for row in reversed(rows)}
         shown = {first[each]: count for each, count in kinds.most_common()}
-        return cls(len(rows), counts[FAILED], counts[CANNOT_BE], machines, shown)
+        return cls(len(rows), counts[FAILED], counts[CANNOT_BE], machines, every, shown)
 
 
 @dataclass(frozen=True, slots=True)

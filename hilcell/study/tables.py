@@ -98,7 +98,7 @@ class Summary:
         note = (
             f"The least {' + '.join(goal)}{most}, of {counted(len(found.designs), 'design')}; "
             "then the design that the search began with. The best of many was lucky as well: "
-            "measure it again on new machines (`first_machine`)."
+            "measure it again on new machines (first_machine in the study file)."
         )
         return Table(self._design_columns(), tried, "Best design found", note)
 
@@ -142,7 +142,7 @@ class Summary:
             f"Listed: {which}. Within: machines within the limit, of those that were measured with "
             "every set of targets; a machine on which the design failed is not within. More: so "
             "many further machines would give a yes if all of them were within. Do not add "
-            "machines until it says yes: ask again on new machines (`first_machine`), with the "
+            "machines until it says yes: ask again on new machines (first_machine in the study file), with the "
             "number fixed ahead. Share at least: exact for any distribution (Clopper and Pearson), "
             "of each design by itself. The best of many designs was lucky as well: measure it in a "
             "study of its own. If normal: the limit that this share of machines keeps if they are "
@@ -221,7 +221,8 @@ class Summary:
             f"Shown: for {counted(steps, 'step')} together, the risk that chance shows one is at "
             f"most {100.0 * SHOWN:g} %, if the machines' differences are normal (Holm). Fails: "
             "more cases fail than at the first level, all else averaged; of a step that would be a "
-            "gain, also where a greater share of its own cases failed."
+            "gain, also where a greater share of its own cases failed. Failures are counted, not "
+            "tested: where all are of one machine, another lot may have none."
         )
         if any(math.isinf(each.deciding.half) for each in purchases):
             note += f" ± {NONE}: no design is left over to check whether effects add up."
@@ -290,16 +291,20 @@ class Summary:
 
     def _reasons(self) -> Table:
         """Return why cases were not done, the most frequent reason first."""
-        bad = [(row.state, row.reason) for row in self.rows if row.state != DONE]
-        counts = Counter((state, kind(reason)) for state, reason in bad)
-        first = {(state, kind(reason)): brief(reason) for state, reason in reversed(bad)}
+        bad = [row for row in self.rows if row.state != DONE]
+        counts = Counter((row.state, kind(row.reason)) for row in bad)
+        first = {(row.state, kind(row.reason)): brief(row.reason) for row in reversed(bad)}
+        pairs = {(row.state, kind(row.reason), row.machine) for row in bad}
+        machines = Counter((state, reason) for state, reason, _ in pairs)
         most = 10
         more = len(counts) - most
-        note = f"And {more} more reasons." if more > 0 else ""
+        note = "Figures in a reason are those of its first case."
+        note += f" And {more} more reasons." if more > 0 else ""
         columns: list[Column[tuple[tuple[str, str], int]]] = [
             Column("state", lambda row: row[0][0]),
             Column("reason", lambda row: first[row[0]]),
             Column("cases", itemgetter(1), form="d"),
+            Column("machines", lambda row: machines[row[0]], form="d"),
         ]
         return Table(columns, counts.most_common(most), "Cases without a result", note)
 
@@ -370,8 +375,10 @@ def _tolerance(judged: Within | None) -> str:
 
 
 def _ended(row: Effect) -> str:
-    """Return how many cases of a step's two levels have no result."""
-    return " → ".join(f"{each.without} of {each.cases}" for each in (row.start_ended, row.ended))
+    """Return how many cases of a step's two levels have no result, of the second by machines."""
+    first, own = row.start_ended, row.ended
+    cases = f"{first.without} of {first.cases} → {own.without} of {own.cases}"
+    return f"{cases} ({own.machines} of {own.all_machines} machines)" if own.without else cases
 
 
 def _kinds(steps: Sequence[Effect]) -> str:

@@ -164,7 +164,7 @@ def test_cases_that_cannot_be_are_no_zeros(tmp_path: Path) -> None:
     assert known == {"2": True, "5": True, "near": True, "far": False}
     assert summary.counts() == "16 cases: 8 done, 8 cannot be"
     reasons = summary.tables()["reasons"]
-    assert reasons.texts() == [["cannot be", "grid: out of reach", "8"]]
+    assert reasons.texts() == [["cannot be", "grid: out of reach", "8", "4"]]
 
 
 @pytest.mark.parametrize(
@@ -217,7 +217,7 @@ def test_reasons_that_differ_in_figures_are_one_kind(tmp_path: Path) -> None:
     ]
     tables = Summary(asked, measured).tables()
     (reasons,) = filter(None, tables.values())
-    assert reasons.texts() == [["failed", "slide +1.50 mm off", "16"]]
+    assert reasons.texts() == [["failed", "slide +1.50 mm off", "16", "4"]]
 
 
 @pytest.mark.parametrize("shares", [[1.0, 1.0, 1.0, 1.0], [1.0, 1.0, 0.98, 1.0], [0.0, 0.0, 0.02]])

@@ -81,12 +81,15 @@ def test_a_level_that_fails_is_no_gain(tmp_path: Path) -> None:
     assert found["shown"] == "fails"
     assert found["failing"] == pytest.approx(0.25)
     assert found["ended"] == {
-        "cases": 8, "failed": 2, "cannot_be": 0, "all_machines": 4,
+        "cases": 8, "failed": 2, "cannot_be": 0, "machines": 1, "all_machines": 4,
         "kinds": {"slide 1.5 mm off": 2},
     }  # fmt: skip
     assert step(asked, failing_far(asked), "readings")["shown"] == "no"
     sheet = Summary(asked, failing_far(asked)).purchases()
-    assert [row[-1] for row in sheet.texts()] == ["1 of 8 → 1 of 8", "0 of 8 → 2 of 8"]
+    assert [row[-1] for row in sheet.texts()] == [
+        "1 of 8 → 1 of 8 (1 of 4 machines)",
+        "0 of 8 → 2 of 8 (1 of 4 machines)",
+    ]
 
 
 def three_factors(folder: Path) -> Study:
