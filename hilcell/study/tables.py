@@ -98,7 +98,7 @@ class Summary:
         note = (
             f"The least {' + '.join(goal)}{most}, of {counted(len(found.designs), 'design')}; "
             "then the design that the search began with. The best of many was lucky as well: "
-            "measure it again on new machines (first_machine in the study file)."
+            "measure it again on new machines (first_machine)."
         )
         return Table(self._design_columns(), tried, "Best design found", note)
 
@@ -142,7 +142,7 @@ class Summary:
             f"Listed: {which}. Within: machines within the limit, of those that were measured with "
             "every set of targets; a machine on which the design failed is not within. More: so "
             "many further machines would give a yes if all of them were within. Do not add "
-            "machines until it says yes: ask again on new machines (first_machine in the study file), with the "
+            "machines until it says yes: ask again on new machines (first_machine), with the "
             "number fixed ahead. Share at least: exact for any distribution (Clopper and Pearson), "
             "of each design by itself. The best of many designs was lucky as well: measure it in a "
             "study of its own. If normal: the limit that this share of machines keeps if they are "
