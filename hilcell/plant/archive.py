@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sa
-from sqlalchemy import Connection, Select, Table, select
+from sqlalchemy import Connection, Select, Table, func, select
 
 from hilcell.atomic_files import as_not_written
 from hilcell.plant.database import Database, PlantError
@@ -46,13 +46,18 @@ class Moved:
 def archive(database: Database, before: datetime, folder: Path) -> Moved:
     """Move the points of all runs that ended before a time to files of a folder.
 
-    Raises `PlantUnavailable`, `PlantError`, and `NotWritten` where the folder cannot be written.
+    Raises `PlantUnavailable`, `PlantError`, `RightMissing`, and `NotWritten` where the folder
+    cannot be written.
     """
     if not before <= (now := datetime.now(UTC)):
         raise PlantError(
             f"plant archive: expected a day before {now:%Y-%m-%d}, got {before:%Y-%m-%d}: points "
             "of runs to come would be moved as well"
         )
+    database.check_right(  # also where nothing is to be moved
+        func.has_table_privilege(POINT.name, "DELETE"),
+        "this login may not archive; only the database's owner may",
+    )
     with as_not_written(folder):
         folder.mkdir(parents=True, exist_ok=True)
     points = select(POINT.c.seq).where(POINT.c.digest == RUN.c.digest).exists()

@@ -101,7 +101,7 @@ def cells(
     last = (
         select(own.c.digest)
         .where(own.c.cell_key == every.c.key, own.c.newest)
-        .order_by(own.c.ended.desc())
+        .order_by(own.c.ended.desc(), own.c.digest)  # both stores order digests alike
         .limit(1)
         .correlate(every)
         .scalar_subquery()
@@ -114,7 +114,7 @@ def cells(
     )  # fmt: skip
     lasts = connection.execute(query.join_from(every, RUN, RUN.c.digest == last)).all()
     known = {(row.cell, row.serial, row.machine) for row in lasts}
-    held = query.where(RUN.c.held).order_by(RUN.c.ended)
+    held = query.where(RUN.c.held).order_by(RUN.c.ended, RUN.c.digest)
     only_held = {
         place: row
         for row in connection.execute(held)

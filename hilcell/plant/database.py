@@ -15,7 +15,7 @@ from pathlib import Path
 from urllib.parse import quote, unquote_to_bytes
 
 import sqlalchemy as sa
-from sqlalchemy import URL, Connection, Engine, event, exc, text
+from sqlalchemy import URL, ColumnElement, Connection, Engine, event, exc, select, text
 
 from hilcell.decoding import Json
 from hilcell.errors import HilcellError, StoreUnavailable
@@ -135,6 +135,13 @@ class Database:
             if self.has_logins:
                 admit(connection)
         return before or ""
+
+    def check_right(self, right: ColumnElement[bool], missing: str) -> None:
+        """Raise `RightMissing` for a login without a right; SQLite has no logins."""
+        if self.has_logins:
+            with self.transaction() as connection:
+                if not connection.execute(select(right)).scalar_one():
+                    raise RightMissing(f"plant database {self.name}: {missing}")
 
     def close(self) -> None:
         self.engine.dispose()

@@ -28,7 +28,10 @@ _OWN_RUN = (
 
 
 def admit(connection: Connection) -> None:
-    """Make the two roles if needed, and give each its rights; may be repeated."""
+    """Make the two roles if needed, and give each its rights; may be repeated.
+
+    A rule that exists is left as it is: to make one, a table is locked against its readers.
+    """
     for role in (CELL, ENGINEER):
         exists = text("SELECT 1 FROM pg_roles WHERE rolname = :role")
         if connection.execute(exists, {"role": role}).scalar() is None:
@@ -39,7 +42,7 @@ def admit(connection: Connection) -> None:
             END $$
             """
             connection.execute(text(create))
-    for order in (*_grants(), *_policies()):
+    for order in (*_grants(), *_policies(connection)):
         connection.execute(text(order))
 
 
@@ -56,18 +59,21 @@ def _grants() -> Iterator[str]:
     yield f"GRANT SELECT ON alembic_version TO {CELL}, {ENGINEER}"
 
 
-def _policies() -> Iterator[str]:
+def _policies(connection: Connection) -> Iterator[str]:
+    """Yield the orders that make the missing rules."""
     rules = [(CLAIM.name, _OWN_LOGIN, _OWN_LOGIN), (RUN.name, _OWN_CELL, _OWN_CELL)]
     rules += [(part.name, "", _OWN_RUN.format(part=part.name)) for part in PARTS]
+    made = text("SELECT polname FROM pg_policy WHERE polrelid = to_regclass(:table)")
+    secured = text("SELECT relrowsecurity FROM pg_class WHERE oid = to_regclass(:table)")
     for table, readable, insertable in rules:
-        yield f"ALTER TABLE {table} ENABLE ROW LEVEL SECURITY"
-        yield from _policy(f"{ENGINEER}_reads", table, f"SELECT TO {ENGINEER} USING (true)")
+        if not connection.execute(secured, {"table": table}).scalar_one():
+            yield f"ALTER TABLE {table} ENABLE ROW LEVEL SECURITY"
+        policies = {
+            f"{ENGINEER}_reads": f"SELECT TO {ENGINEER} USING (true)",
+            f"{CELL}_inserts": f"INSERT TO {CELL} WITH CHECK ({insertable})",
+        }
         if readable:
-            yield from _policy(f"{CELL}_reads", table, f"SELECT TO {CELL} USING ({readable})")
-        inserts = f"INSERT TO {CELL} WITH CHECK ({insertable})"
-        yield from _policy(f"{CELL}_inserts", table, inserts)
-
-
-def _policy(name: str, table: str, rule: str) -> Iterator[str]:
-    yield f"DROP POLICY IF EXISTS {name} ON {table}"
-    yield f"CREATE POLICY {name} ON {table} FOR {rule}"
+            policies[f"{CELL}_reads"] = f"SELECT TO {CELL} USING ({readable})"
+        known = set(connection.execute(made, {"table": table}).scalars())
+        for name in policies.keys() - known:
+            yield f"CREATE POLICY {name} ON {table} FOR {policies[name]}"

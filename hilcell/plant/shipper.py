@@ -248,7 +248,10 @@ def ship(
     if (runs / JOURNAL).is_file():
         raise PlantError(f"expected a folder of runs, got that of one run: {clean(str(runs))}")
     database.check()
-    _check_right(database)
+    database.check_right(  # also where nothing is to be shipped
+        func.has_any_column_privilege(RUN.name, "INSERT"),
+        f"this login may not ship; the database's owner admits it: GRANT {CELL} TO NAME",
+    )
     done = Shipped()
     cache = _ShippedCache(runs)
     rows = in_order(read_index(runs))
@@ -297,18 +300,6 @@ def _read(runs: Path, row: RunRow, here: dict[str, Key]) -> tuple[RunRecord, lis
         raise PlantError(f"{error}; {RESTORE}") from error
     except _BROKEN as error:
         raise PlantError(f"its journal is not one of a run: {error}; {RESTORE}") from error
-
-
-def _check_right(database: Database) -> None:
-    """Raise `RightMissing` for a login that may not ship, also where nothing is to be shipped."""
-    if database.has_logins:
-        with database.transaction() as connection:
-            may = select(func.has_any_column_privilege(RUN.name, "INSERT"))
-            if not connection.execute(may).scalar_one():
-                raise RightMissing(
-                    f"plant database {database.name}: this login may not ship; the database's "
-                    f"owner admits it: GRANT {CELL} TO NAME"
-                )
 
 
 def _without_journal(runs: Path) -> dict[str, str]:

@@ -17,6 +17,7 @@ from hilcell.plant.shipper import ship
 from hilcell.plant.tables import ARCHIVE, POINT, RUN
 from tests.hilcell.commands.full_disk import files_limited_to
 from tests.hilcell.plant.conftest import DAY, NOW, refused
+from tests.hilcell.plant.logins import Plant
 from tests.hilcell.plant.test_export import private, public
 from tests.whole.bench import command
 
@@ -152,3 +153,14 @@ def test_a_file_without_its_row_is_written_again(
     with closing(Database(url(database))) as again:
         assert archive(again, NOW + timedelta(days=1), folder).runs == 2
     assert {each: each.read_bytes() for each in folder.iterdir()} == files
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("login", ["reader", "north"])
+def test_a_login_that_may_not_archive_is_told_where_nothing_is_due(
+    login: str, both: Plant, tmp_path: Path
+) -> None:
+    words = ("--before", f"{NOW - 900 * DAY:%Y-%m-%d}", "-o", tmp_path / "old")
+    assert "owner" in refused("archive", "--from", both.url(login), *words)
+    assert not (tmp_path / "old").exists()
+    assert command("plant", "archive", "--from", both.url(), *words).returncode == 0

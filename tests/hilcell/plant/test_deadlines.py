@@ -23,6 +23,7 @@ from hilcell.plant import deadlines, shipper
 from hilcell.plant.database import Database, Locked, PlantUnavailable
 from hilcell.plant.rights import CELL
 from hilcell.plant.shipper import Shipped, ship
+from hilcell.plant.tables import HEAD, TABLES
 from tests.hilcell.plant.conftest import NOW, refused
 from tests.hilcell.plant.logins import Plant
 from tests.hilcell.plant.server import BLANK, Server
@@ -225,6 +226,29 @@ def test_a_lock_is_of_those_who_have_it(
             said = blocked("SELECT * FROM claim", waits, monkeypatch)
             assert f"a process of the server {name}" in said
         owner.execute("DROP ROLE waits")
+
+
+@pytest.mark.process
+def test_what_exists_is_made_again_without_a_lock(
+    plant: Database, postgresql: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside one that reads and one that writes; what is missing is made."""
+    url = postgresql.url(str(plant.engine.url.database))
+    rules = "SELECT polrelid::regclass::text, polname, relrowsecurity FROM pg_policy JOIN pg_class "
+    rules += "ON pg_class.oid = polrelid ORDER BY 1, 2"
+    with psycopg.connect(url, autocommit=True) as owner:
+        before = owner.execute(rules.encode()).fetchall()
+        assert len(before) > len(TABLES.tables)
+        owner.execute(f"DROP POLICY {CELL}_inserts ON point".encode())
+        owner.execute("ALTER TABLE claim DISABLE ROW LEVEL SECURITY")
+        assert plant.create() == HEAD
+        assert owner.execute(rules.encode()).fetchall() == before
+    monkeypatch.setattr(deadlines, "LOCK_S", SHORT_S)
+    with psycopg.connect(url) as other:
+        for table in TABLES.tables:
+            other.execute(f"SELECT FROM {table}".encode())
+        other.execute("LOCK TABLE point, run, claim IN ROW EXCLUSIVE MODE")
+        assert plant.create() == HEAD
 
 
 @pytest.mark.process

@@ -28,6 +28,7 @@ from cryptography.x509.oid import NameOID
 from sqlalchemy import Table, event, make_url, select, text
 
 from hilcell.journal.runs import read_records
+from hilcell.plant.cells import cells
 from hilcell.plant.database import MIGRATIONS, SHIPPED, Database
 from hilcell.plant.record import heads, rows_digest, run_record
 from hilcell.plant.rights import CELL, ENGINEER
@@ -126,6 +127,25 @@ def test_the_newest_revision_is_current_in_whatever_order_they_arrive(
             write(connection, run_record("a", records[arrived]), heads(records[arrived]))
             newest = connection.execute(text("SELECT revision FROM current_run")).scalars().all()
         assert newest == [max(records[each][-1].seq for each in order[: n + 1])]
+
+
+@pytest.mark.process
+def test_of_runs_that_end_at_once_both_stores_show_the_same(
+    office: Database, plant: Database, model: Model, tmp_path: Path
+) -> None:
+    names = [f"tie-{n}" for n in range(9)]
+    for n, name in enumerate(names):
+        means_mm = {"S300": 0.01 * n}  # one journal is shipped once
+        model.write(tmp_path / "runs", Run(name, "north", "HC-1", NOW, means_mm=means_mm))
+    last: list[str] = []
+    for database in (office, plant):
+        for name in names:
+            records = read_records(tmp_path / "runs" / name)
+            with database.transaction() as connection:
+                write(connection, run_record(name, records), heads(records))
+        with database.transaction() as connection:
+            last += [each.last_run for each in cells(connection, NOW)]
+    assert last[0] == last[1]
 
 
 @pytest.mark.process
