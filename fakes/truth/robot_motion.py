@@ -12,6 +12,7 @@ import math
 import threading
 from bisect import bisect_right
 from collections.abc import Callable
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -113,18 +114,6 @@ class Path:
 Draw = Callable[[], Array]
 
 
-def _once(draw: Draw) -> Draw:
-    """Return a function that draws at its first call, and then returns the same."""
-    drawn: list[Array] = []
-
-    def known() -> Array:
-        if not drawn:
-            drawn.append(draw())
-        return drawn[0]
-
-    return known
-
-
 class RobotState(NamedTuple):
     """The controller's joints (6,), the side of their last motion, their repeatability error."""
 
@@ -162,7 +151,7 @@ class RobotMotion:
         self._speed_rad_s = np.radians([joint.speed_deg_s for joint in cell.robot.joint])
         self._from = self._to = np.radians(cell.robot.home_deg)
         self._side = np.ones(6)
-        self._landing: Draw = _once(landings("power-on"))
+        self._landing: Draw = cache(landings("power-on"))
         self._share = 1.0
         self._rate = 1.0  # shares a second at full speed
         self._override = 1.0
@@ -186,7 +175,7 @@ class RobotMotion:
             self._side = sides if all_moved else np.where(moved, sides, self._side)
             key = ",".join([f"{joint:.6f}" for joint in self._to.tolist()])
             draw, before = self._landings(key), self._landing
-            self._landing = _once(draw)
+            self._landing = cache(draw)
             if not all_moved:  # joints that have not moved keep their error
                 landing_rad = np.where(moved, draw(), before())
                 self._landing = lambda: landing_rad

@@ -101,11 +101,9 @@ class TrackerTruth:
         order = sorted(off_mm, key=off_mm.__getitem__)
         to_tracker = partial(transform_point, self._from_world)
         in_range = (name for name in order if self._in_range(to_tracker(places[name])))
-        best = next(in_range, None)
-        if self._faults.any_armed:
-            next_best = next(in_range, None)
-            if next_best is not None and self._faults.strikes("tracker.wrong_target"):
-                return next_best
+        best, next_best = next(in_range, None), next(in_range, None)
+        if next_best is not None and self._faults.strikes("tracker.wrong_target"):
+            return next_best
         return best if best is not None and off_mm[best] <= radius_mm else None
 
     def measure(self, name: str, *, back: bool = False) -> Measurement | None:

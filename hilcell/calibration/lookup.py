@@ -162,7 +162,7 @@ def with_calibration(
         calibration,
         datetime.now(UTC),
         max_age_days=math.inf,  # its age and the temperature are why it is checked
-        limits=None if carries else tolerance_limits(cell),  # the arm is what it was in any case
+        limits=None if carries else tolerance_limits(cell),  # the arm is unchanged
         accept_out_of_tolerance=accept_out_of_tolerance,
         status=None if carries and status and status.to_redo else status,
         accept_not_current=accept_not_current,

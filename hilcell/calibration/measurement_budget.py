@@ -118,9 +118,8 @@ def common_motion_mm(errors_mm: Array, u_mm: float) -> float:
     larger of both sides, each with the risk of k = 2.
     """
     draws_mm = u_mm * np.random.default_rng(101).standard_normal((10_000, 3))
-    lengths = np.add.outer(np.square(draws_mm).sum(axis=1), np.square(errors_mm).sum(axis=1))
-    lengths += 2.0 * draws_mm @ errors_mm.T
-    moved_mm = np.sqrt(np.maximum(lengths, 0.0, out=lengths), out=lengths).mean(axis=1)
+    squares_mm2 = np.add.outer(np.square(draws_mm).sum(axis=1), np.square(errors_mm).sum(axis=1))
+    moved_mm = np.sqrt(np.maximum(squares_mm2 + 2.0 * draws_mm @ errors_mm.T, 0.0)).mean(axis=1)
     beyond = 0.02275  # of a normal distribution, beyond 2 sigma on one side
     low_mm, high_mm = np.quantile(moved_mm - lengths_mm(errors_mm).mean(), [beyond, 1.0 - beyond])
     return float(np.maximum(-low_mm, high_mm))  # NaN where an error is

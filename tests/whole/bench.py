@@ -265,7 +265,7 @@ class Engine:
         self.events: list[dict[str, Any]] = []
 
     def until(self, wanted: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-        """Read events until one is wanted; the pytest time limit bounds the wait."""
+        """Read events until one matches; the pytest time limit bounds the wait."""
         assert self.process.stdout is not None
         for line in self.process.stdout:
             self.events.append(json.loads(line))

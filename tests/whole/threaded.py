@@ -52,7 +52,7 @@ class ThreadedRun:
         return self.runs / str(self.events[0]["run"])
 
     def until(self, wanted: Callable[[Event], object]) -> Event:
-        """Let the run go on to an event that is wanted; return it."""
+        """Let the run go on to an event that matches; return it."""
         while (event := self._next()) is not None:
             if wanted(event):
                 return event
