@@ -79,9 +79,10 @@ def assign(connection: Connection, cell: str, serial: str | None, login: str) ->
         if len(known) != 1:
             most = 5
             more = f" and {len(known) - most} more" if len(known) > most else ""
-            listed = ", ".join(map(clean, known[:most])) + more or "none is known"
+            listed = ", ".join(map(clean, known[:most])) + more
+            shipped = f"shipped so far: {listed}" if known else "no run of it was shipped yet"
             raise HilcellError(
-                f"cell {clean(cell)}: expected --serial with its serial number; known: {listed}"
+                f"cell {clean(cell)}: expected --serial with its serial number; {shipped}"
             )
         (serial,) = known
     place = and_(CLAIM.c.cell == cell, CLAIM.c.serial == serial)
