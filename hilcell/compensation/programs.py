@@ -116,9 +116,9 @@ class Program(Protocol):
         """
         return None
 
-    def statuses(self, expected: int) -> Sequence[tuple[str, int]]:
+    def statuses(self, expected: int, arm: Arm) -> Sequence[tuple[str, int]]:
         """Targets with a stated posture, with place and status; open bits are the ``expected``
-        ones.
+        ones. A status counts the joints of ``arm``, whose signs a language may not share.
         """
         return ()
 
@@ -211,7 +211,8 @@ class StationProgram:
     straight to ``command``, and straight back to ``standoff``. ``base`` (6,) is {W} in {B};
     ``tool`` (6,) is the tip in the flange, ``tool_name`` its name in the cell file, ``tool_number``
     its number in the controller, or None. The program begins and ends at ``safe_deg`` (6,).
-    ``options``: of the robot's driver; ``remarks``: comments for its head.
+    ``arm``: the nominal one, with the tip as its tool point; ``options``: of the robot's driver;
+    ``remarks``: comments for its head.
     """
 
     station: str
@@ -225,6 +226,7 @@ class StationProgram:
     tool_name: str
     tool_number: int | None
     safe_deg: Sequence[float]
+    arm: Arm
     speed_percent: float
     options: Json
     remarks: Sequence[str]

@@ -155,6 +155,7 @@ def station_program(
         tool_name=drilling.tip.name,
         tool_number=drilling.tip.number,
         safe_deg=robot.safe_deg,
+        arm=drilling.arm,
         speed_percent=robot.speed_percent,
         options=robot.options,
         remarks=remarks,

@@ -390,13 +390,13 @@ class ArmTargets(TargetFiles):
             problems.append(f"{program.base.where}: the base set there is not {ROOT}")
         if problems:
             raise SettingsError(str(source), problems)
-        if program.statuses(0):
+        if program.statuses(0, reach.arm):
             try:
                 status, *others = np.unique(status_of(reach.arm, joints_rad)).tolist()
             except ReachError as error:
                 say(f"{source.name}: the postures of its targets were not checked: {error}")
             else:
-                stated = program.statuses(status)
+                stated = program.statuses(status, reach.arm)
                 check_posture(
                     status, [each for each in stated if each[1] & POSTURE_BITS not in others]
                 )

@@ -267,7 +267,7 @@ class StationTargets(TargetFiles):
             say(f"{name}: its tool ({program.tool.text}) was not checked; --cell CELL does")
         if cell is not None:
             status = cell.robot.status
-            check_posture(status, program.statuses(status))
+            check_posture(status, program.statuses(status, cell.robot.arm()))
             if is_robot_driven(cell):
                 StationTargets._check_slide(cell.station_named(station), program.slide)
             T_W_B = released.calibration.base(station)

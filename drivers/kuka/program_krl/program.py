@@ -105,9 +105,10 @@ class Program(programs.Program):
         """Return what only an arm's joints show, where a motion by joints states S and T."""
         if any(each.posture is not None for each in self.targets):
             return "posture (S) and turns (T)"
-        return "postures (S)" if self.statuses(0) else ""
+        stated = self.kept or any(each.status is not None for each in self.targets)
+        return "postures (S)" if stated else ""
 
-    def statuses(self, expected: int) -> list[tuple[str, int]]:
+    def statuses(self, expected: int, arm: Arm) -> list[tuple[str, int]]:
         """Targets whose posture the program states, and their S. Unknown bits of a kept posture are
         the ``expected`` ones.
         """

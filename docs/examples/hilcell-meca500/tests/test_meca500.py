@@ -233,6 +233,7 @@ def test_the_program_of_a_station_is_written_in_joints() -> None:
         "reflector",
         None,
         CELL.robot.safe_deg,
+        CELL.robot.arm(),
         30.0,
         {},
         ["care"],

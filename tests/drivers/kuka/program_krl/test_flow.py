@@ -140,9 +140,10 @@ def test_only_motions_by_joints_take_a_posture(body: str, bits: list[tuple[int, 
 def test_bits_that_are_not_known_are_taken_as_expected() -> None:
     read = one("PTP XHOME\nLIN XP1", DAT)
     where = "XP1 (drill.dat line 1), kept from drill.src line 2"
-    assert read.statuses(6) == [(where, 2)]
-    assert read.statuses(1) == [(where, 3)]
-    assert one("PTP XP2", DAT).statuses(1) == [("XP2 (drill.dat line 2)", 6)]
+    arm = load_cell("paper").robot.arm()
+    assert read.statuses(6, arm) == [(where, 2)]
+    assert read.statuses(1, arm) == [(where, 3)]
+    assert one("PTP XP2", DAT).statuses(1, arm) == [("XP2 (drill.dat line 2)", 6)]
 
 
 @pytest.mark.parametrize(("home", "code"), [("XHOME", 2), ("XHOME1", 0), ("XHOME2", 0)])
