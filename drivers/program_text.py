@@ -12,7 +12,9 @@ from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
 
+from hilcell.cell.robot import REFLECTOR
 from hilcell.cell.settings import SettingsError, read_bytes, unreadable
+from hilcell.compensation.programs import StationProgram
 
 ENCODING = "latin-1"
 ASCII = 128  # so many characters
@@ -112,3 +114,22 @@ def module_name(station: str) -> str:
     """
     name = re.sub(r"\W", "_", station, flags=re.ASCII)
     return (name if name[0].isalpha() else f"S_{name}")[:24]
+
+
+def tool_number(program: StationProgram, usual: int) -> int:
+    """Number of the program's tool in the controller's table; ``usual``: the reflector's, unless
+    `robot.options` has another. Raises `SettingsError` for a tool without one, or with the
+    reflector's: the program would move another tip than it is written for.
+    """
+    reflector: int = program.options.get("tool", usual)
+    if program.tool_name == REFLECTOR:
+        return reflector
+    if program.tool_number is not None and program.tool_number != reflector:
+        return program.tool_number
+    problem = (
+        "missing: a program of this language selects its tool by the controller's number"
+        if program.tool_number is None
+        else f"{reflector} is the reflector's in the controller (robot.options.tool, {usual} "
+        "without): expected another one"
+    )
+    raise SettingsError(f"tool {program.tool_name}", [f"number: {problem}"])

@@ -36,6 +36,7 @@ TRAPS = {  # a motion or a result that would be wrong without notice; all else i
     "drivers/kuka/controller.py": "a stop is lost",
     "drivers/canopen/process_image.py": "a stop is undone",
     "drivers/kuka/program_krl/data.py": "a target is relative in disguise",
+    "drivers/fanuc/program_tp.py": "an axis turns by 360 deg",
     "drivers/kuka/program_krl/program.py": "an axis turns by 360 deg",
     "drivers/leica/tracker_emscon.py": "a late result passes for the next point",
     "drivers/leica/tracker_geocom.py": "an old distance or a late answer passes for the next point",

@@ -525,8 +525,8 @@ class Cell(Frozen, frozen=True, kw_only=True):
         "targets", "certificate", "iso9283", "notify", "tool",
         "rail.homing_mm_s", "rail.standstill_dwell_s",
         "robot.ramp_s", "robot.first_pass_percent", "robot.first_pass_pause", "robot.envelope",
-        "robot.rp_mm", "tracker.pointing_s", "tracker.reading_s", "layout.reflectors",
-        "layout.max_tool_std_mm", "layout.base_tolerance_mm",
+        "robot.rp_mm", "robot.program", "tracker.pointing_s", "tracker.reading_s",
+        "layout.reflectors", "layout.max_tool_std_mm", "layout.base_tolerance_mm",
         "settle.robot_least_s", "settle.rail_least_s", "settle.spread_mm",
     )  # fmt: skip
 

@@ -63,6 +63,7 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
 
     ``smr_mm`` is the tool point. Two or more other reflectors, ``more_smr_mm``, make the tool's
     orientation measurable. ``rp_mm`` is the pose repeatability (ISO 9283) of the data sheet.
+    ``program``: form of written programs, None for the driver's.
     """
 
     driver: Name
@@ -81,6 +82,7 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
     first_pass_percent: Percent = 10.0
     first_pass_pause: bool | None = None
     envelope: EnvelopeTable | None = None
+    program: Name | None = None
     options: Json = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -6,7 +6,8 @@ group ``hilcell.programs`` names it by the file's suffix, in lower case without 
 cannot be corrected safely.
 
 A writer is a function from a `StationProgram` and a stamp to files by name; the group
-``hilcell.program_writers`` names it by the robot's driver: ``my-robot = "package.module:write"``.
+``hilcell.program_writers`` names it by the robot's driver, or by a name of its own that
+`robot.program` of a cell states: ``my-robot = "package.module:write"``.
 """
 
 from __future__ import annotations
@@ -64,7 +65,10 @@ class Program(Protocol):
     what its language does not have.
     """
 
-    in_root: bool = False  # whether targets are in the robot's root {B}, else in {W}
+    @property
+    def in_root(self) -> bool:
+        """Whether targets are in the robot's root {B}, else in {W}."""
+        return False
 
     @property
     def names(self) -> list[str]:
@@ -128,8 +132,9 @@ class Program(Protocol):
         return ""
 
     def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> None:
-        """Raise `HilcellError` where ``command`` (N, 6) would need other revolutions of
-        the joints.
+        """Raise `HilcellError` where ``command`` (N, 6) would need other revolutions of the joints.
+
+        It is in the targets' frame, as the pose ``T_W_B`` (4, 4) of the arm's base.
         """
         return
 
@@ -235,10 +240,16 @@ class StationProgram:
 Writer = Callable[[StationProgram, Stamp], Mapping[str, bytes]]
 
 
-def program_writer(driver: str) -> Writer | None:
-    """The writer for a robot's driver, None where none is installed."""
+def program_writer(driver: str, form: str | None = None) -> Writer | None:
+    """The writer of a form of programs; without a form that of a robot's driver, None where none is
+    installed. Raises `SettingsError` for an unknown form.
+    """
     group = "program_writers"
-    if driver not in entry_points(group=f"hilcell.{group}").names:
+    known = entry_points(group=f"hilcell.{group}").names
+    if form and form not in known:
+        installed = ", ".join(sorted(known)) or "none"
+        raise SettingsError("robot.program", [f"unknown form {form!r}; installed: {installed}"])
+    if not form and driver not in known:
         return None
-    writer: Writer = load_entry(group, driver)
+    writer: Writer = load_entry(group, form or driver)
     return writer

@@ -29,7 +29,7 @@ from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.cell.file import Cell
 from hilcell.cell.robot import STANDOFF_MORE_MM
 from hilcell.cell.settings import SettingsError
-from hilcell.compensation.programs import Stroke, program_writer
+from hilcell.compensation.programs import Stroke, Writer, program_writer
 from hilcell.compensation.targets import HEADER, as_listed, target_rows
 from hilcell.errors import bounded
 from hilcell.geometry.frames import poses_from_zyx, zyx_from_pose
@@ -151,7 +151,7 @@ class StationJobs:
     """The stations of a part in order of visit, ``source``: the file of its holes.
 
     The holes are positions of the ``tip`` of one tool, which keeps ``standoff_mm`` from the part;
-    ``twins``: warnings of holes listed twice.
+    ``twins``: warnings of holes listed twice; ``writer``: of its programs.
     """
 
     cell: Cell
@@ -162,6 +162,7 @@ class StationJobs:
     standoff_mm: float
     whole: HolePlan
     twins: list[str]
+    writer: Writer | None
     stations: Sequence[StationJob] = ()
 
     @classmethod
@@ -189,13 +190,14 @@ class StationJobs:
                 f"{tip.name} and {STANDOFF_MORE_MM:g} mm"
             )
             raise SettingsError("--standoff", [problem])
+        writer = program_writer(cell.robot.driver, cell.robot.program)
         found = read_holes(holes, tip.T_D_T)
         released.refuse_corrected(holes, found.names, found.points_mm)
         for warning in found.warnings:
             say(warning)
         whole = plan_holes(cell, found, calibrated=Volume(released.calibration), say=say)
         part = WorkPiece(found.points_mm, found.outward)
-        jobs = cls(cell, released, holes, tip, part, standoff_mm, whole, found.twins)
+        jobs = cls(cell, released, holes, tip, part, standoff_mm, whole, found.twins, writer)
         return replace(jobs, stations=[jobs._job(each) for each in whole.stations])
 
     def _job(self, plan: StationPlan) -> StationJob:
@@ -205,8 +207,7 @@ class StationJobs:
         exact = self.released.corrected(name, plan.holes, nominal, self.tip, cell)
         targets = replace(exact, command=as_listed(exact.command))
         stroke = self._stroke(targets)
-        writer = program_writer(cell.robot.driver)
-        if writer is None:
+        if self.writer is None:
             return StationJob(plan, targets, stroke, self.standoff_mm, {}, [])
         T_W_B = calibration.base(name)
         drilling = Drilling(cell, T_W_B, self.tip, self.standoff_mm)
@@ -232,7 +233,7 @@ class StationJobs:
             targets,
             "; ".join(filter(None, (stroke, lost.text))),
             self.standoff_mm,
-            writer(drilled, targets.stamp),
+            self.writer(drilled, targets.stamp),
             [each.values for each in (drilled.command, drilled.standoff, drilled.approach)],
         )
 
@@ -326,7 +327,8 @@ class StationJobs:
             each for job in jobs for each in released.remember(job.targets.stamp, *job.points)
         ]
         stations = counted(len(jobs), "station")
-        programs = f"no programs: no writer is installed for robots of {self.cell.robot.driver}"
+        driver = self.cell.robot.driver
+        programs = f"no programs: {driver} has no writer; state another form, robot.program"
         if any(job.program for job in jobs):
             programs = (
                 "one program a station, in the order of the sheet; each holds for its station only"

@@ -270,8 +270,10 @@ class StationTargets(TargetFiles):
             check_posture(status, program.statuses(status, cell.robot.arm()))
             if is_robot_driven(cell):
                 StationTargets._check_slide(cell.station_named(station), program.slide)
-            T_W_B = released.calibration.base(station)
-            program.check_joints(tip.arm(cell.robot.arm()), T_W_B, targets.command)
+            T_W_B, command = released.calibration.base(station), targets.command
+            if program.in_root:
+                command, T_W_B = StationTargets._taken_in(inverse(T_W_B), command), np.eye(4)
+            program.check_joints(tip.arm(cell.robot.arm()), T_W_B, command)
         elif program.needs_arm:
             say(f"{name}: {program.needs_arm} were not checked; --cell CELL does")
 

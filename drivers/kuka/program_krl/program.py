@@ -29,9 +29,8 @@ from drivers.program_text import (
     line_below,
     module_name,
     plain,
+    tool_number,
 )
-from hilcell.cell.robot import REFLECTOR
-from hilcell.cell.settings import SettingsError
 from hilcell.compensation import programs
 from hilcell.compensation.programs import Places, StatedBase, StatedTool, StationProgram, Stroke
 from hilcell.compensation.targets import Stamp
@@ -229,7 +228,7 @@ def _source(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:
     yield f"; {plain(stamp.text)}"
     yield from map(comment, program.remarks)
     yield "BAS (#INITMOV,0 )"
-    yield f"BAS (#TOOL,{_tool_number(program)} )"
+    yield f"BAS (#TOOL,{tool_number(program, USUAL_TOOL)} )"
     yield f"BAS (#VEL_PTP,{max(1, round(program.speed_percent))} )"
     yield "BAS (#ACC_PTP,50 )"
     yield "BAS (#VEL_CP,0.1 )"  # m/s, in to a hole and out of it
@@ -249,24 +248,6 @@ def _source(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:
     yield from (f"PTP {name}" for name in _via(program, len(program.names) + 1))
     yield "PTP XHOME"
     yield "END"
-
-
-def _tool_number(program: StationProgram) -> int:
-    """Number of the program's tool in the controller's table. Raises `SettingsError` for a tool
-    without one, or with the reflector's: the program would move another tip than it is written for.
-    """
-    reflector: int = program.options.get("tool", USUAL_TOOL)
-    if program.tool_name == REFLECTOR:
-        return reflector
-    if program.tool_number is not None and program.tool_number != reflector:
-        return program.tool_number
-    problem = (
-        "missing: a KRL program selects its tool by the controller's number"
-        if program.tool_number is None
-        else f"{reflector} is the reflector's in the controller (robot.options.tool, "
-        f"{USUAL_TOOL} without): expected another one"
-    )
-    raise SettingsError(f"tool {program.tool_name}", [f"number: {problem}"])
 
 
 def _data(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:

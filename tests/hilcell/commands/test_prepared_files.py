@@ -240,7 +240,7 @@ def test_a_robot_without_a_writer_gets_lists_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made(tmp_path)
-    monkeypatch.setattr("hilcell.programs.station_jobs.program_writer", lambda driver: None)
+    monkeypatch.setattr("hilcell.programs.station_jobs.program_writer", lambda driver, form: None)
     done = prepare(tmp_path, holes(tmp_path, *INSIDE))
     assert "kuka-c3" in done.stderr
     written = sorted(each.name for each in (tmp_path / "out").iterdir())
