@@ -1,0 +1,1 @@
+"""Robots of ABB, and their programs."""

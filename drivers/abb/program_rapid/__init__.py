@@ -1,0 +1,1 @@
+"""RAPID programs as text: their targets, and whether these can be corrected safely."""

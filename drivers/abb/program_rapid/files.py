@@ -1,0 +1,727 @@
+"""Reads a RAPID module whose targets can be corrected safely; all else is refused, line by line.
+
+Each motion names its tool and work object, so no state goes from one motion to the next but the
+control of configurations. Corrected are motions to robtargets that are numbers of this module, by
+name, as an element of an array, within the motion, or as a parameter of an own routine; ``Offs``
+and ``RelTool`` of one keep its correction. A target that is also read, changed or passed on would
+carry its correction to unchecked places: such a program is refused.
+
+Joint targets are left as they are: one whose name has HOME, SAFE or PARK, and the motions of a
+routine before its first and behind its last target. Any other may be a hole, and is refused.
+
+Source: Technical reference manual, RAPID Instructions, Functions and Data types, 3HAC050917: the
+motions named here, Offs, RelTool, PDispSet, EOffsSet, WaitWObj, ActUnit, SoftAct, ConfJ, ConfL.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from decimal import Decimal
+from functools import cached_property
+from itertools import product
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.abb.program_rapid.data import (
+    Arguments,
+    Datum,
+    Module,
+    RapidError,
+    Routine,
+    Statement,
+    Token,
+    closing,
+    quoted,
+    row,
+    split,
+    structure,
+)
+from drivers.abb.program_rapid.program import Program, Target, from_quaternions
+from drivers.program_text import Number, source_text
+from hilcell.cell.settings import SettingsError
+from hilcell.compensation.programs import StatedBase, StatedTool, Stroke
+from hilcell.errors import bounded
+from hilcell.geometry.frames import matrix, zyx_from_pose
+from hilcell.ports import Array
+
+MOTIONS = {  # by name: the place of the tool among the arguments
+    **dict.fromkeys(("MOVEJ", "MOVEL", "MOVEJDO", "MOVELDO", "MOVEJAO", "MOVELAO", "MOVEJGO",
+                     "MOVELGO", "MOVEJSYNC", "MOVELSYNC", "TRIGGJIOS", "TRIGGLIOS"), 3),
+    **dict.fromkeys(("TRIGGJ", "TRIGGL"), 4),
+}  # fmt: skip
+OPTIONS = {"CONC", "V", "T", "Z", "INPOS", "WOBJ", "TLOAD", *(f"T{n}" for n in range(2, 9)),
+           *(f"TRIGGDATA{n}" for n in range(1, 4))}  # fmt: skip
+_CIRCLE = "a circle through an auxiliary point is not corrected"
+_SHIFTED = "it displaces all targets behind it, and where is not known"
+_UNIT = "a work object or axis of another unit moves the targets"
+_SEVERAL = "several robots move together"
+_PATH = "the sensor's path is not that of the targets"
+REFUSED = {
+    **dict.fromkeys(("MOVEC", "MOVECDO", "MOVECAO", "MOVECGO", "MOVECSYNC", "TRIGGC"), _CIRCLE),
+    **dict.fromkeys(("SEARCHL", "SEARCHC"), "it ends where a signal comes, not at its target"),
+    **dict.fromkeys(("PDISPON", "PDISPSET", "EOFFSON", "EOFFSSET"), _SHIFTED),
+    **dict.fromkeys(("WAITWOBJ", "DROPWOBJ", "ACTUNIT", "DEACTUNIT", "WAITSENSOR", "SYNCTOSENSOR",
+                     "DROPSENSOR"), _UNIT),
+    **dict.fromkeys(("SYNCMOVEON", "SYNCMOVEOFF", "SYNCMOVEUNDO", "SYNCMOVERESUME"), _SEVERAL),
+    **dict.fromkeys(("CORRCON", "CORRWRITE"), _PATH),
+    **dict.fromkeys(("MOVEEXTJ", "INDAMOVE", "INDCMOVE", "INDDMOVE", "INDRMOVE"),
+                    "it moves external axes: the slide would leave its station"),
+    **dict.fromkeys(("SETDATAVAL", "SETALLDATAVAL"), "it changes data by a name that is a text"),
+    **dict.fromkeys(("STEPBWDPATH", "PATHRECMOVEBWD", "PATHRECMOVEFWD", "CLEARPATH"),
+                    "where the robot goes then is not known"),
+    "SOFTACT": "a soft axis does not reach its target",
+}  # fmt: skip
+PREFIXES = {"EGM": _PATH, "FC": _PATH, "ARC": "it is a motion of a process, which hilcell does not "
+            "follow"}  # fmt: skip
+MOVES_NOTHING = (
+    "ACCSET", "ADD", "BITCLEAR", "BITSET", "BOOKERRNO", "BREAK", "CIRPATHMODE", "CLEAR",
+    "CLEARIOBUFF", "CLKRESET", "CLKSTART", "CLKSTOP", "CLOSE", "CLOSEDIR", "CONFJ", "CONFL",
+    "CONNECT", "CORRCLEAR", "CORRDISCON", "DECR", "EOFFSOFF", "ERRLOG", "ERRRAISE", "ERRWRITE",
+    "EXIT", "EXITCYCLE", "GOTO", "GRIPLOAD", "IDELETE", "IDISABLE", "IENABLE", "IERROR", "INCR",
+    "INVERTDO", "IPERS", "ISIGNALAI", "ISIGNALAO", "ISIGNALDI", "ISIGNALDO", "ISIGNALGI",
+    "ISIGNALGO", "ISLEEP", "ITIMER", "IWATCH", "LOAD", "MECHUNITLOAD", "MOTIONSUP", "OPEN",
+    "OPENDIR", "PATHACCLIM", "PATHRESOL", "PDISPOFF", "PULSEDO", "RAISE", "READANYBIN", "RESET",
+    "RESETRETRYCOUNT", "RESTOPATH", "RETRY", "RETURN", "REWIND", "SAVE", "SET", "SETAO", "SETDO",
+    "SETGO", "SETSYSDATA", "SINGAREA", "SOCKETACCEPT", "SOCKETBIND", "SOCKETCLOSE",
+    "SOCKETCONNECT", "SOCKETCREATE", "SOCKETLISTEN", "SOCKETRECEIVE", "SOCKETSEND", "SOFTDEACT",
+    "SPEEDREFRESH", "STARTMOVE", "STARTMOVERETRY", "STOP", "STOPMOVE", "STOPMOVERESET", "STOREPATH",
+    "TPERASE", "TPREADDNUM", "TPREADFK", "TPREADNUM", "TPSHOW", "TPWRITE", "TRIGGCHECKIO",
+    "TRIGGEQUIP", "TRIGGINT", "TRIGGIO", "TRIGGRAMPAO", "TRIGGSPEED", "TRYNEXT", "TUNERESET",
+    "TUNESERVO", "UIMSGBOX", "UIMSGWRITE", "UISHOW", "UNLOAD", "VELSET", "WAITAI", "WAITAO",
+    "WAITDI", "WAITDO", "WAITGI", "WAITGO", "WAITLOAD", "WAITROB", "WAITSYNCTASK", "WAITTIME",
+    "WAITUNTIL", "WORLDACCLIM", "WRITE", "WRITEANYBIN", "WRITEBIN", "WRITESTRBIN", "WZBOXDEF",
+    "WZCYLDEF", "WZDISABLE", "WZDOSET", "WZENABLE", "WZFREE", "WZLIMSUP", "WZSPHDEF",
+)  # fmt: skip
+WORDS = ("IF", "ELSEIF", "ELSE", "ENDIF", "WHILE", "ENDWHILE", "FOR", "ENDFOR", "TEST", "CASE",
+         "DEFAULT", "ENDTEST", "ERROR", "UNDO", "BACKWARD")  # fmt: skip
+HOMES = ("HOME", "SAFE", "PARK")
+UNUSED = 8.9e9  # an external axis at or beyond it is not there
+
+
+def load_program(path: Path) -> Program:
+    """Read a module; raises `SettingsError`."""
+    return read_program(path.name, source_text(path, "RAPID"))
+
+
+def read_program(file: str, text: str) -> Program:
+    """Return the program; raises `SettingsError` with all that is refused, by line."""
+    try:
+        module = Module(text)
+    except RapidError as error:
+        raise SettingsError(file, [f"{file} {error}"]) from error
+    reader = _Reader(file, module)
+    reader.read()
+    if reader.problems:
+        raise SettingsError(file, [f"{file} {problem}" for problem in reader.problems])
+    return reader.program(text)
+
+
+class Place(NamedTuple):
+    """Where a motion goes: a target by its key, and the shift from it in its work object."""
+
+    key: str
+    shift_mm: tuple[float, ...] | None = None
+
+
+class Frame(NamedTuple):
+    """A tool or work object, by name; its pose (4, 4), None if another module declares it."""
+
+    name: str
+    line: int
+    pose: Array | None
+
+    def same(self, other: Frame) -> bool:
+        same_name = self.name.upper() == other.name.upper()
+        if same_name or self.pose is None or other.pose is None:
+            return same_name
+        return bool(np.array_equal(self.pose, other.pose))
+
+
+class Call(NamedTuple):
+    """A call of an own routine."""
+
+    routine: Routine
+    arguments: Arguments
+
+
+class _Reader:
+    """Goes through the statements once for motions, and once more for other uses of data."""
+
+    def __init__(self, file: str, module: Module) -> None:
+        self.problems = list[str]()
+        self.targets: dict[str, Target] = {}
+        self._file, self._module = file, module
+        self._strokes: list[tuple[int, str, Place]] = []
+        self._frames: dict[str, Frame] = {}  # of all motions, by "tool" and "work object"
+        self._elements_of: dict[str, dict[str, object]] = {}  # robtargets of data, as in `targets`
+        self._places = set[int]()  # of names that are a motion's target, by character
+        self._used_names = set[tuple[str, str]]()  # names of targets, by the routine of that name
+        self._known_frames: dict[str, Frame] = {}  # those that motions name
+        self._external: list[tuple[int, str, tuple[float | None, ...]]] = []  # of joint targets
+        self._left: dict[str, int] = {}  # remarks on parts left unchanged, by their first line
+        self._calls: dict[str, list[Call]] = {}
+        for routine, statement in self._all():
+            if statement.head in module.routines:
+                arguments = Arguments.of(statement.tokens[1:-1])
+                self._calls.setdefault(statement.head, []).append(Call(routine, arguments))
+
+    def _all(self) -> Iterator[tuple[Routine, Statement]]:
+        for routine in self._module.routines.values():
+            for statement in routine.statements:
+                yield routine, statement
+
+    def read(self) -> None:
+        self._each(self._take)
+        for routine in self._module.routines.values():
+            self._each_joint_target(routine)
+        self._pass_on()
+        self._each(self._check_uses)
+        self._check_external()
+        lines = [(int(each.split(":")[0].split()[1]), each) for each in self.problems]
+        self.problems = [each for _, each in sorted(lines)]
+        if not self.targets and not self.problems:
+            self.problems.append("no motion to a robtarget with numbers: nothing to correct")
+
+    def _each(self, act: Callable[[Routine, Statement], None]) -> None:
+        for routine, statement in self._all():
+            try:
+                act(routine, statement)
+            except RapidError as error:
+                self.problems.append(f"line {statement.line}: {error}")
+
+    # -- the first pass -----------------------------------------------------------------------
+
+    def _take(self, routine: Routine, statement: Statement) -> None:
+        head, tokens = statement.head, statement.tokens
+        if any(token.text == '"' for token in tokens):
+            raise RapidError("a string does not end on its line")
+        moves = head in MOTIONS or head == "MOVEABSJ" or head in self._moving
+        if moves and id(statement) in self._handled:
+            raise RapidError(
+                f"{tokens[0].text} moves in an error handler or trap, which may run at any time"
+            )
+        if head in MOTIONS:
+            self._motion(routine, statement)
+            return
+        if head in REFUSED:
+            raise RapidError(f"{tokens[0].text}: {REFUSED[head]}")
+        prefix = next((each for each in PREFIXES if head.startswith(each)), "")
+        if prefix and head not in self._module.routines:
+            raise RapidError(f"{tokens[0].text}: {PREFIXES[prefix]}")
+        if head == "SINGAREA" and "LOCKAXIS4" in statement.words:
+            raise RapidError("SingArea\\LockAxis4 changes the orientation of targets")
+        self._note_call(head, statement)
+
+    @cached_property
+    def _handled(self) -> set[int]:
+        """Statements of error handlers and traps."""
+        return {
+            id(statement)
+            for routine in self._module.routines.values()
+            for n, statement in enumerate(routine.statements)
+            if routine.is_handled(n)
+        }
+
+    @cached_property
+    def _moving(self) -> set[str]:
+        """Own routines that move, by themselves or by others of this module."""
+        heads = {
+            name: {statement.head for statement in routine.statements}
+            for name, routine in self._module.routines.items()
+        }
+        found = {"MOVEABSJ", *MOTIONS}
+        while more := {name for name, used in heads.items() if used & found} - found:
+            found |= more
+        return found & set(heads)
+
+    def _note_call(self, head: str, statement: Statement) -> None:
+        """Note a call of what is not known to leave the robot where it is."""
+        known = head in (*WORDS, *MOVES_NOTHING, "MOVEABSJ") or head in self._module.routines
+        is_label = len(statement.tokens) == 2 and statement.tokens[1].text == ":"
+        if known or is_label or _assigns(statement.tokens):
+            return
+        name = statement.tokens[0].text if head else quoted(statement.tokens)
+        inline = quoted(statement.tokens[1:-1])
+        if "[[" in inline.replace(" ", ""):
+            raise RapidError(f"{name} is called with data in brackets: where it moves is not known")
+        note = (
+            f"{name} is a routine of another module: its motions are not corrected, and it must "
+            "leave tool, work object and slide as they are"
+        )
+        self._left.setdefault(note, statement.line)
+
+    def _motion(self, routine: Routine, statement: Statement) -> None:
+        head, word = statement.head, statement.tokens[0].text
+        arguments, tool_at = Arguments.of(statement.tokens[1:-1]), MOTIONS[head]
+        if len(arguments.placed) <= tool_at:
+            raise RapidError(f"{word} has fewer than {tool_at + 1} arguments")
+        if odd := [each for each in arguments.named if each not in OPTIONS]:
+            meant = {"ID": _SEVERAL, "CORR": _PATH}
+            why = meant.get(odd[0], "an option that hilcell does not follow")
+            raise RapidError(f"{word}\\{odd[0]}: {why}")
+        if head.endswith("SYNC"):
+            self._check_synchronous(arguments.placed[4:])
+        places = self._meant(routine, arguments.placed[0])
+        by = head.removeprefix("MOVE").removeprefix("TRIGG")[0]
+        for place in places:
+            target = self.targets[place.key]
+            if by not in self._uncontrolled and not target.is_controlled:
+                self.targets[place.key] = replace(target, is_controlled=True)
+            if place.shift_mm is not None:
+                self._strokes.append((statement.line, quoted(arguments.placed[0]), place))
+        frames = {"tool": arguments.placed[tool_at], "work object": arguments.named.get("WOBJ", ())}
+        for what, tokens in frames.items():
+            self._set_frame(what, self._frames_of(routine, what, tokens), statement.line)
+
+    def _check_synchronous(self, placed: Sequence[Sequence[Token]]) -> None:
+        """Take the routine, named by a text, that runs in the middle of a corner."""
+        name = quoted(placed[0]).strip('"').upper() if placed else ""
+        if name in self._moving or name not in self._module.routines:
+            raise RapidError(
+                f"its routine {name} moves, or is not in this module: where the robot goes then "
+                "is not known"
+            )
+
+    @cached_property
+    def _uncontrolled(self) -> set[str]:
+        """J and L, where all of the program's ``ConfJ`` and ``ConfL`` switch the control off."""
+        said: dict[str, set[bool]] = {}
+        for _, statement in self._all():
+            if statement.head in ("CONFJ", "CONFL"):
+                said.setdefault(statement.head[4:], set()).add("OFF" in statement.words)
+        return {letter for letter, off in said.items() if off == {True}}
+
+    # -- targets ------------------------------------------------------------------------------
+
+    def _meant(self, routine: Routine, tokens: Sequence[Token]) -> list[Place]:
+        """Return the places that a motion's target may be; raises `RapidError`."""
+        if not tokens:
+            raise RapidError("it has no target")
+        first = tokens[0]
+        if first.text == "*":
+            raise RapidError("its target * is not in the text")
+        if first.word in ("OFFS", "RELTOOL") and len(tokens) > 1 and tokens[1].text == "(":
+            return self._beside(routine, tokens)
+        self._places.add(first.start)
+        return [Place(key) for key in self._named(routine, tokens)]
+
+    def _named(
+        self, routine: Routine, tokens: Sequence[Token], within: tuple[str, ...] = ()
+    ) -> list[str]:
+        """Return the keys of the robtargets that a name may mean, as they are added."""
+        name, start = tokens[0].word, tokens[0].start
+        if tokens[0].text == "[":
+            key = f"@:{start}"
+            self._keep(key, "target", self._module.line(start), structure(tokens))
+            return [key]
+        if not name or (len(tokens) > 1 and tokens[1].text != "{"):
+            raise RapidError(f"its target {quoted(tokens)} is computed at run time")
+        if parameter := routine.takes(name):
+            if parameter.may_change:
+                raise RapidError(f"{name}, a parameter of {routine.name}, may be changed there")
+            self._used_names.add((routine.name, name))
+            passed = self._passed(routine, name, within)
+            return [
+                key for caller, value, outer in passed for key in self._named(caller, value, outer)
+            ]
+        return self._declared(routine, name, tokens)
+
+    def _declared(self, routine: Routine, name: str, tokens: Sequence[Token]) -> list[str]:
+        """Return the keys of declared robtargets, one or elements of an array, as added."""
+        datum = self._module.datum(name, routine)
+        if datum is None or not datum.value:
+            raise RapidError(f"{tokens[0].text} is not a robtarget with numbers in this module")
+        if datum.kind != "ROBTARGET":
+            raise RapidError(f"{datum.text} is {datum.kind.lower()}, expected a robtarget")
+        scope = f"{routine.name}:" if name in routine.locals else ""
+        if len(tokens) == 1 and scope + name in self.targets:
+            return [scope + name]
+        elements = self._elements_of.get(scope + name)
+        if elements is None:
+            elements = dict(_elements(name, structure(datum.value)))
+            self._elements_of[scope + name] = elements
+            self._used_names |= {
+                (each.name, name)
+                for each in self._module.routines.values()
+                if (name not in each.locals if not scope else each is routine)
+            }
+        wanted = quoted(tokens).upper().replace(" ", "")
+        chosen = [wanted] if wanted in elements else []
+        if len(tokens) > 1 and any(token.word for token in tokens[2:-1]):
+            chosen = list(elements)  # an index that is computed may be any
+        if not chosen:
+            raise RapidError(f"{quoted(tokens)} is no element of {datum.text}, line {datum.line}")
+        for each in chosen:
+            if scope + each not in self.targets:
+                label = datum.text + each.removeprefix(name)
+                self._keep(scope + each, label, datum.line, elements[each])
+        return [scope + each for each in chosen]
+
+    def _passed(
+        self, routine: Routine, name: str, within: tuple[str, ...]
+    ) -> list[tuple[Routine, Sequence[Token], tuple[str, ...]]]:
+        """Return what this module's calls of a routine pass for a parameter; raises `RapidError`.
+
+        ``within``: the routines whose parameters are being looked up.
+        """
+        if routine.name in within:
+            raise RapidError(f"{routine.name} calls itself: its {name} is not known")
+        outer: tuple[str, ...] = (*within, routine.name)
+        found = [
+            (call.routine, value, outer)
+            for call in self._calls.get(routine.name, ())
+            for parameter, value in routine.matched(call.arguments)
+            if parameter.name == name and value
+        ]
+        if not found:
+            raise RapidError(
+                f"{name} is a parameter of {routine.name}, and no call in this module says which"
+            )
+        return found
+
+    def _keep(self, key: str, name: str, line: int, value: object) -> None:
+        try:
+            self.targets[key] = _target(name, line, value)
+        except RapidError as error:
+            raise RapidError(f"{name} (line {line}): {error}") from error
+
+    def _beside(self, routine: Routine, tokens: Sequence[Token]) -> list[Place]:
+        """Return the places of ``Offs(p,x,y,z)`` or ``RelTool(p,x,y,z)``; raises `RapidError`."""
+        word = tokens[0].text
+        if closing(tokens, 1) != len(tokens) - 1:
+            raise RapidError(f"its target {quoted(tokens)} is computed at run time")
+        arguments = Arguments.of(tokens[2:-1])
+        if len(arguments.placed) != 4:
+            raise RapidError(f"{word} has {len(arguments.placed)} arguments, expected 4")
+        for name, value in arguments.named.items():
+            if self._numbers(routine, value) != [0.0]:
+                raise RapidError(
+                    f"{word}\\{name} turns the tool: only shifts keep the correction of the target"
+                )
+        if arguments.placed[0][:1] and arguments.placed[0][0].word in ("OFFS", "RELTOOL"):
+            raise RapidError(f"{word} of {arguments.placed[0][0].text}: state one shift")
+        numbers = (self._numbers(routine, each) for each in arguments.placed[1:])
+        shifts_mm = np.array([*product(*numbers)])
+        found = list[Place]()
+        for place in self._meant(routine, arguments.placed[0]):
+            R = np.eye(3)
+            if word.upper() == "RELTOOL":
+                turn = [each.value for each in self.targets[place.key].numbers[3:]]
+                R = from_quaternions([turn])[0]
+            found += [Place(place.key, each) for each in map(tuple, (shifts_mm @ R.T).tolist())]
+        return found
+
+    def _numbers(
+        self, routine: Routine, tokens: Sequence[Token], within: tuple[str, ...] = ()
+    ) -> list[float]:
+        """Return the values that a number, a constant or a parameter may have."""
+        sign = -1.0 if tokens[:1] and tokens[0].text == "-" else 1.0
+        bare = tokens[1:] if tokens[:1] and tokens[0].text in "+-" else tokens
+        if len(bare) == 1 and bare[0].kind == "number":
+            return [sign * float(bare[0].text)]
+        if len(bare) == 1 and bare[0].word:
+            name = bare[0].word
+            if (parameter := routine.takes(name)) and not parameter.may_change:
+                return [
+                    sign * value
+                    for caller, passed, outer in self._passed(routine, name, within)
+                    for value in self._numbers(caller, passed, outer)
+                ]
+            datum = self._module.datum(name, routine)
+            if datum is not None and (datum.storage, datum.kind) == ("CONST", "NUM"):
+                return [sign * value for value in self._numbers(routine, datum.value, within)]
+        raise RapidError(
+            f"its shift {quoted(tokens)} is computed at run time, expected numbers or CONST num"
+        )
+
+    # -- tool and work object -----------------------------------------------------------------
+
+    def _frames_of(
+        self, routine: Routine, what: str, tokens: Sequence[Token], within: tuple[str, ...] = ()
+    ) -> list[Frame]:
+        if not tokens:
+            return [Frame("wobj0", 0, np.eye(4))]
+        name, text = tokens[0].word, tokens[0].text
+        if len(tokens) > 1 or not name:
+            raise RapidError(f"its {what} {quoted(tokens)} is computed at run time")
+        if routine.takes(name):
+            return [
+                frame
+                for caller, value, outer in self._passed(routine, name, within)
+                for frame in self._frames_of(caller, what, value, outer)
+            ]
+        if name in ("TOOL0", "WOBJ0"):
+            return [Frame(text, 0, np.eye(4))]
+        datum = self._module.datum(name, routine)
+        if datum is None:
+            self._known_frames[name] = Frame(text, 0, None)
+        elif name not in self._known_frames:
+            try:
+                self._known_frames[name] = Frame(text, datum.line, _frame_of(datum))
+            except RapidError as error:
+                raise RapidError(f"{text} (line {datum.line}): {error}") from error
+        return [self._known_frames[name]]
+
+    def _set_frame(self, what: str, frames: Sequence[Frame], line: int) -> None:
+        for frame in frames:
+            known = self._frames.setdefault(
+                what, frame if frame.line else frame._replace(line=line)
+            )
+            if not known.same(frame):
+                raise RapidError(
+                    f"its {what} is {frame.name}, that of other motions "
+                    f"{known.name} (line {known.line}): correct the motions of each apart"
+                )
+
+    # -- joint targets ------------------------------------------------------------------------
+
+    def _each_joint_target(self, routine: Routine) -> None:
+        """Leave the joint targets of a routine that are no holes; refuse the others."""
+        moves = [n for n, each in enumerate(routine.statements) if each.head in MOTIONS]
+        for n, statement in enumerate(routine.statements):
+            if statement.head != "MOVEABSJ":
+                continue
+            arguments = Arguments.of(statement.tokens[1:-1])
+            stated = arguments.placed[0]
+            name = quoted(stated)
+            is_home = len(stated) == 1 and any(each in name.upper() for each in HOMES)
+            outside = bool(moves) and (n < moves[0] or n > moves[-1])
+            if not is_home and not outside:
+                self.problems.append(
+                    f"line {statement.line}: MoveAbsJ {name}: a joint target may be a hole, and is "
+                    "not corrected; state it as a robtarget, or a home with HOME, SAFE or PARK in "
+                    "its name"
+                )
+                continue
+            if "ID" in arguments.named:
+                self.problems.append(f"line {statement.line}: MoveAbsJ\\ID: {_SEVERAL}")
+            remark = f"joint target {name} is left unchanged: no hole may be there"
+            self._left.setdefault(remark, statement.line)
+            datum = self._module.datum(stated[0].word, routine)
+            value = structure(datum.value if datum else stated)
+            if isinstance(value, list) and len(value) == 2 and isinstance(value[1], Token):
+                external = tuple(_axis(each) for each in row(value[1], 6, "extax"))
+                self._external.append((statement.line, name, external))
+
+    def _check_external(self) -> None:
+        """Refuse targets at which external axes stand elsewhere than at the first one."""
+        if not self.targets:
+            return
+        first = next(iter(self.targets.values()))
+        for target in self.targets.values():
+            if target.external != first.external:
+                self.problems.append(
+                    f"line {target.line}: {target.name} has other external axes (extax) than "
+                    f"{first.name} of line {first.line}: a program is corrected for one station"
+                )
+        for line, name, external in self._external:
+            pairs = zip(external, first.external, strict=True)
+            if any(at is not None and other is None for at, other in pairs):
+                self.problems.append(
+                    f"line {line}: {name} moves external axes, and the targets do not say where "
+                    "they stand (extax): state it in both, or in none"
+                )
+
+    # -- the second pass ----------------------------------------------------------------------
+
+    def _check_uses(self, routine: Routine, statement: Statement) -> None:
+        tokens = statement.tokens
+        called = self._module.routines.get(statement.head)
+        for at, token in enumerate(tokens):
+            if not token.word or token.start in self._places:
+                continue
+            if token.word in self._known_frames and token.word not in routine.locals:
+                self._check_frame_use(statement, at)
+            is_other = at and tokens[at - 1].text in (".", "\\")  # a component, or an option
+            if is_other or (routine.name, token.word) not in self._used_names:
+                continue
+            if _is_assigned(tokens, at):
+                raise RapidError(f"{token.text} is changed at run time")
+            if called is None or not self._is_passed_on(called, tokens, at):
+                raise RapidError(
+                    f"{token.text} is used besides moving to it: its correction would go there too"
+                )
+
+    def _pass_on(self) -> None:
+        """Add the parameters to which names of targets are passed."""
+        calls = [(name, call) for name, found in self._calls.items() for call in found]
+        before = -1
+        while before != len(self._used_names):
+            before = len(self._used_names)
+            for name, call in calls:
+                for parameter, value in self._module.routines[name].matched(call.arguments):
+                    if value and (call.routine.name, value[0].word) in self._used_names:
+                        self._used_names.add((name, parameter.name))
+
+    @staticmethod
+    def _is_passed_on(called: Routine, tokens: Sequence[Token], at: int) -> bool:
+        """Whether a token is an argument of an own routine that may only move to it."""
+        return any(
+            value and value[0].start == tokens[at].start and not parameter.may_change
+            for parameter, value in called.matched(Arguments.of(tokens[1:-1]))
+        )
+
+    def _check_frame_use(self, statement: Statement, at: int) -> None:
+        token, head = statement.tokens[at], statement.head
+        if _is_assigned(statement.tokens, at):
+            raise RapidError(f"{token.text} is changed at run time, and motions work in it")
+        known = (MOTIONS, MOVES_NOTHING, WORDS, self._module.routines, ("MOVEABSJ",))
+        if not any(head in names for names in known) and not _assigns(statement.tokens):
+            raise RapidError(
+                f"{statement.tokens[0].text} may change {token.text}, and motions work in it"
+            )
+
+    # -- the result ---------------------------------------------------------------------------
+
+    def program(self, text: str) -> Program:
+        base, tool = self._frames["work object"], self._frames["tool"]
+        stated_base = stated_tool = None
+        if base.pose is not None:
+            values = tuple(zyx_from_pose(base.pose[None])[0].tolist())
+            stated_base = StatedBase(f"{self._file} line {base.line}", values)
+        if tool.pose is not None:
+            where = f"{self._file} line {tool.line}"
+            stated_tool = StatedTool(where, tool.name, None, tool.pose)
+        places = {key: n for n, key in enumerate(self.targets)}
+        strokes = [
+            Stroke(
+                f"{what} ({self._file} line {line}) from {self.targets[place.key].name}",
+                places[place.key],
+                place.shift_mm or (0.0, 0.0, 0.0),
+            )
+            for line, what, place in self._strokes
+        ]
+        return Program(
+            self._file,
+            text,
+            list(self.targets.values()),
+            self._module.head_end,
+            list(self._notes()),
+            strokes,
+            stated_base,
+            stated_tool,
+        )
+
+    def _notes(self) -> Iterator[str]:
+        """Yield the parts that were left as they are, and those that reach further."""
+        yield from (f"{what} (line {line})" for what, line in self._left.items())
+        for what, frame in self._frames.items():
+            if frame.pose is None:
+                yield (
+                    f"its {what} {frame.name} (line {frame.line}) is in another module: it "
+                    "must be that of the targets"
+                )
+        yield "the base frame of the controller must be zero, so that its world is {B}"
+        data = self._module.data
+        shared = [
+            each
+            for each in dict.fromkeys(key.partition("{")[0] for key in self.targets)
+            if each in data and not data[each].is_local
+        ]
+        shared = [data[each].text for each in shared]
+        if shared:
+            yield (
+                f"not LOCAL: {', '.join(bounded(shared))}: other modules that use them get their "
+                "correction, too"
+            )
+        used = {key.partition("{")[0] for key in self.targets}
+        unused = [
+            each.text
+            for each in data.values()
+            if each.kind == "ROBTARGET" and each.name not in used
+        ]
+        if unused:
+            yield f"not used by a motion, left: {', '.join(bounded(unused))}"
+
+
+def _assigns(tokens: Sequence[Token]) -> bool:
+    """Whether a statement is an assignment, and no call with an option."""
+    return any(token.text == ":=" for token in split(tokens, "\\")[0])
+
+
+def _is_assigned(tokens: Sequence[Token], at: int) -> bool:
+    """Whether the name at ``at`` is assigned: ``name:=``, ``name.trans.x:=``, ``name{1}:=``."""
+    if at:
+        return False
+    at += 1
+    while at < len(tokens) and tokens[at].text in (".", "{"):
+        at = closing(tokens, at) + 1 if tokens[at].text == "{" else at + 2
+    return at < len(tokens) and tokens[at].text == ":="
+
+
+def _elements(name: str, value: object, index: str = "") -> Iterator[tuple[str, object]]:
+    """Yield the robtargets of a value: itself, or the elements of an array of any dimensions."""
+    is_one = isinstance(value, list) and bool(value) and isinstance(value[0], Token)
+    if is_one or not isinstance(value, list):
+        yield f"{name}{{{index}}}" if index else name, value
+        return
+    for n, each in enumerate(value, start=1):
+        yield from _elements(name, each, f"{index},{n}" if index else str(n))
+
+
+def _axis(number: Number) -> float | None:
+    return None if number.value >= UNUSED else number.value
+
+
+def _target(name: str, line: int, value: object) -> Target:
+    """Return the target of a robtarget's value; raises `RapidError`."""
+    if not isinstance(value, list) or len(value) != 4:
+        raise RapidError("is not a robtarget in numbers: [[x,y,z],[q1..q4],[cf..],[eax..]]")
+    trans, rot = row(value[0], 3, "its place"), row(value[1], 4, "its orientation")
+    conf, external = row(value[2], 4, "its configuration"), row(value[3], 6, "its extax")
+    if not all(math.isfinite(each.value) for each in (*trans, *rot)):
+        raise RapidError("has a number that is not finite")
+    check_unit(rot)
+    if not all(each.value.is_integer() for each in conf):
+        raise RapidError("has a configuration that is not of whole numbers")
+    cf1, cf4, cf6, cfx = (int(each.value) for each in conf)
+    if cfx not in range(8):
+        raise RapidError(f"has cfx {cfx}, expected 0 to 7")
+    axes = tuple(map(_axis, external))
+    return Target(name, line, [*trans, *rot], (cf1, cf4, cf6), cfx, axes)
+
+
+def check_unit(numbers: Sequence[Number]) -> None:
+    """Raise `RapidError` for a quaternion whose length is off 1 by more than its rounding."""
+    length = math.hypot(*(each.value for each in numbers))
+    exponents = [Decimal(each.text).as_tuple().exponent for each in numbers]
+    decimals = max(-each for each in exponents if isinstance(each, int))
+    rounding = 10.0 ** -(min(decimals, 6) or 6)
+    if not abs(length - 1.0) <= rounding:
+        raise RapidError(
+            f"its orientation {', '.join(each.text for each in numbers)} has the length "
+            f"{length:.6f}, expected 1: it is no rotation"
+        )
+
+
+def _frame_of(datum: Datum) -> Array:
+    """Return the pose (4, 4) of tooldata or wobjdata; raises `RapidError`."""
+    value: object = structure(datum.value)
+    if not isinstance(value, list) or datum.kind not in ("TOOLDATA", "WOBJDATA"):
+        raise RapidError(f"is {datum.kind.lower()} without numbers in this module")
+    said = ["" if isinstance(each, (list, Token)) else quoted(each).upper() for each in value]
+    if datum.kind == "TOOLDATA":
+        if len(value) != 3 or said[0] != "TRUE":
+            raise RapidError("its robhold is not TRUE: the robot does not hold this tool")
+        return _pose(value[1])
+    if len(value) != 5 or said[0] != "FALSE":
+        raise RapidError("its robhold is not FALSE: the robot holds the part")
+    if said[1] != "TRUE" or said[2] != '""':
+        raise RapidError(
+            f"its frame moves with another unit (ufprog {said[1]}, ufmec {said[2]}): where the "
+            "targets are is not known"
+        )
+    return _pose(value[3]) @ _pose(value[4])
+
+
+def _pose(value: object) -> Array:
+    if not isinstance(value, list) or len(value) != 2:
+        raise RapidError("its frame is not in numbers")
+    rot = row(value[1], 4, "its orientation")
+    check_unit(rot)
+    place = [each.value for each in row(value[0], 3, "its place")]
+    return matrix(from_quaternions([[each.value for each in rot]])[0], np.array(place))
