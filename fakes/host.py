@@ -3,9 +3,10 @@
 ``python -m fakes.host`` serves one: the first line on stdin is the order (JSON), the first line on
 stdout gives all addresses. It ends with stdin, so it never outlives its parent. On the control
 channel an order ``{"do": NAME, ...}`` is answered by ``{"ok": true, ...}`` or ``{"ok": false,
-"error": ...}``; NAME is addresses, now, wait, fault, clear, truth, travel, seat or quit. The engine
-uses it only for time; faults, truth and travel (of slide and axes since it was last asked) are for
-tests; ``seat`` places the reflector that an operator would carry. No device's wire shows any of
+"error": ...}``; NAME is addresses, now, wait, fault, clear, truth, travel, seat, carry or quit. The
+engine uses it only for time; faults, truth and travel (of slide and axes since it was last asked)
+are for tests; ``seat`` and ``carry`` place the only reflector, which an operator would carry, by a
+place's name or near a position in the tracker's frame. No device's wire shows any of
 this.
 """
 
@@ -136,6 +137,7 @@ class Host:
             "truth": self._truth,
             "travel": self._travel,
             "seat": lambda order: self._cell_truth.place_reflector(str(order["place"])),
+            "carry": lambda order: self._cell_truth.carry_reflector(np.array(order["near_mm"])),
             "quit": lambda order: {"leaving": True},
         }
 

@@ -112,6 +112,9 @@ class PaperCell:
             at_rest=True,
         )
 
+    def carry_reflector(self, near_mm: Sequence[float]) -> None:
+        self._control.ask("carry", near_mm=near_mm)
+
     def pull_cable(self, device: str) -> None:
         """As `hilcell.ports.HasPerson`: after so many polls of the moving device."""
         polls = 300

@@ -607,6 +607,11 @@ class HasPerson(Protocol):
     def pull_cable(self, device: str) -> None:
         """Let the person pull the cable of ``rail`` while it moves next, and plug it in again."""
 
+    def carry_reflector(self, near_mm: Sequence[float]) -> None:
+        """Let the person seat the only reflector of a cell in the nest nearest to (3,), tracker's
+        frame, on the floor, the slide or the flange.
+        """
+
 
 @runtime_checkable
 class RepeatsRun(Protocol):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from itertools import count
+from itertools import count, zip_longest
 
 import msgspec
 import numpy as np
@@ -16,7 +16,7 @@ import numpy as np
 from hilcell.cell.devices import jogging_rail
 from hilcell.cell.file import Cell, Pose
 from hilcell.decoding import Json
-from hilcell.geometry.frames import apply, inverse
+from hilcell.geometry.frames import apply, inverse, matrix, unit
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import rounded
 from hilcell.identification.axis_directions import check_axes
@@ -37,6 +37,8 @@ from procedures.proved import prove, proved_result, proved_table
 NEST_TRIES = 40  # looks at reflectors that are none of those asked for
 SAME_MM = 20.0  # two readings nearer than this are of one nest
 NEAR_MM = 20.0  # around a place that is predicted
+ROLES = (" (the origin of {W})", " (on the x axis of {W})", " (in its xy plane)")
+LEAST_SIDE_MM = 300.0  # of the triangle that defines {W}
 AIM_S = 20.0  # that a person takes for a nest
 WIGGLE_DEG, WIGGLE_PERCENT = 1.0, 1.0
 SEARCH_MM = 100.0  # around a reflector that moved by a degree of an axis
@@ -58,7 +60,7 @@ class FindTracker(_Proving):
     needs = "reflectors in the floor nests, a person who puts the beam on them"
     moves = "nothing"
     measures = "every floor nest"
-    yields = "the tracker's pose in {W}"
+    yields = "the tracker's pose in {W}; the nests' places where no drawing has them"
 
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         nests = len(cell.layout.fixed_nests)
@@ -67,6 +69,9 @@ class FindTracker(_Proving):
 
     def perform(self, session: CellSession) -> None:
         session.reach("connect")
+        if session.cell.layout.is_unplaced:
+            self._place(session)
+            return
         nests, limit_mm = session.cell.layout.fixed_nests, session.cell.layout.nest_tolerance_mm
         nominal_mm = np.array([nest.xyz_mm for nest in nests])
         seen: list[PlaceSeen] = []
@@ -84,6 +89,43 @@ class FindTracker(_Proving):
         known = recognised(nominal_mm, places_mm(seen), limit_mm) if len(seen) > 2 else []
         upright = [each for each in known if each.upright]
         self._judge(session, [nest.name for nest in nests], (upright or known)[:1], known)
+
+    @staticmethod
+    def _place(session: CellSession) -> None:
+        """Take the nests where they stand: the first three become the frame {W}, z upward."""
+        names = [nest.name for nest in session.cell.layout.floor]
+        seen: list[PlaceSeen] = []
+        for name, role in zip_longest(names, ROLES, fillvalue=""):
+            place = session.aimed_place(
+                f"floor nest {name}",
+                f"floor nest {name}{role}",
+                not_near(places_mm(seen)),
+                SAMPLES,
+                tries=NEST_TRIES,
+            )
+            if place is None:
+                break
+            seen.append(place)
+        floor_mm = places_mm(seen)
+        T_W_L = world_of(floor_mm) if len(seen) == len(names) else None
+        values: Json = {}
+        if T_W_L is not None:
+            rows = zip(names, apply(T_W_L, floor_mm).round(3).tolist(), strict=True)
+            values = {
+                "layout.floor": [
+                    {"name": name, "x_mm": x, "y_mm": y, "z_mm": z} for name, (x, y, z) in rows
+                ],
+                "tracker.pose": msgspec.to_builtins(Pose.of(T_W_L)),
+            }
+        prove(
+            session,
+            "floor nests",
+            holds=bool(values),
+            found=f"{len(seen)} nests" + ("" if values else ", of which no frame follows"),
+            expected=f"{', '.join(names)}; each of the first three >= {LEAST_SIDE_MM:g} mm from "
+            "the line through the other two",
+            values=values,
+        )
 
     @staticmethod
     def _judge(
@@ -136,6 +178,23 @@ class FindTracker(_Proving):
             expected="a pose by three nests or more",
             values={"tracker.pose": pose},
         )
+
+
+def world_of(floor_mm: Array) -> Array | None:
+    """Return {W}, (4, 4) from the tracker's frame, of floor nests (N, 3) in that frame: the origin
+    in the first, x to the second, the third in the xy plane, z upward as the tracker stands.
+
+    None where the first three are too close together, or to a line, to define a frame.
+    """
+    corners_mm = floor_mm[:3]
+    sides_mm = np.linalg.norm(corners_mm - np.roll(corners_mm, 1, axis=0), axis=1)
+    normal_mm2 = np.cross(corners_mm[1] - corners_mm[0], corners_mm[2] - corners_mm[0])
+    least_mm2 = LEAST_SIDE_MM * sides_mm.max()  # its least height is on its longest side
+    if not np.linalg.norm(normal_mm2) >= least_mm2 > 0.0:
+        return None
+    x = unit(corners_mm[1] - corners_mm[0])
+    z = unit(normal_mm2) * (1.0 if normal_mm2[2] > 0.0 else -1.0)
+    return inverse(matrix(np.column_stack([x, np.cross(z, x), z]), corners_mm[0]))
 
 
 def not_a_nest(nominal_mm: Array, taken_mm: Array, limit_mm: float) -> Callable[[Array], str]:

@@ -16,6 +16,7 @@ import numpy as np
 from hilcell.calibration.grid import grid_of
 from hilcell.cell.file import Cell
 from hilcell.cell.surroundings import KeepOut, Surroundings, keep_out_problems, posture
+from hilcell.cell.tables import Pose
 from hilcell.compensation.volumes import CORNERS, read_volumes, row, taught
 from hilcell.errors import HilcellError
 from hilcell.geometry.frames import apply, inverse
@@ -140,10 +141,26 @@ class Volumes(Step):
 
 
 def listed(cell: Cell) -> list[KeepOut]:
-    """Return the volumes of the cell's list that its file does not have; raises `SettingsError`."""
-    if cell.volumes is None or not cell.volumes.file:
+    """Return the volumes that the cell's [volumes] state and its file does not have; raises
+    `SettingsError`.
+    """
+    if cell.volumes is None:
         return []
-    return _new(cell, read_volumes(Path(cell.volumes.file)))
+    boxes = read_volumes(Path(cell.volumes.file)) if cell.volumes.file else []
+    return _new(cell, [*boxes, *(floor_and_tracker(cell) if cell.volumes.floor else ())])
+
+
+def floor_and_tracker(cell: Cell) -> list[KeepOut]:
+    """Return the floor up to the highest floor nest, and the tracker on its stand."""
+    top_mm = max(nest.z_mm for nest in cell.layout.floor)
+    pose, above_mm, width_mm, hall_mm = cell.tracker.pose, 300.0, 800.0, 20_000.0
+    height_mm = max(pose.z_mm + above_mm - top_mm, width_mm)
+    floor = Pose(x_mm=0.0, y_mm=0.0, z_mm=top_mm - hall_mm / 2.0)
+    stand = Pose(x_mm=pose.x_mm, y_mm=pose.y_mm, z_mm=top_mm + height_mm / 2.0)
+    return [
+        KeepOut(name="floor", centre=floor, size_mm=(hall_mm, hall_mm, hall_mm)),
+        KeepOut(name="tracker", centre=stand, size_mm=(width_mm, width_mm, height_mm)),
+    ]
 
 
 def _new(cell: Cell, volumes: list[KeepOut]) -> list[KeepOut]:

@@ -87,8 +87,10 @@ class CellTruth:
         taught = [] if cell.volumes is None else cell.volumes.teach
         self._corners = corners_in_world([each for each in cell.keep_out if each.name in taught])
         self._in_hand = ""  # the corner at which the person holds a further reflector
+        by_hand = cell.layout.by_hand  # then bars come later, in the run
+        at_first = [nest.name for nest in layout.floor] if by_hand else [*self._floor_nests]
         self._person = Person(
-            ([*self._floor_nests], [FLANGE], [nest.name for nest in cell.layout.slide]),
+            (at_first, [FLANGE], [nest.name for nest in cell.layout.slide]),
             [*self._corners],
             fixed.generator("person"),
             time,
@@ -143,6 +145,13 @@ class CellTruth:
         if place not in places:
             raise ValueError(f"place {place!r} is none of {', '.join(places)}")
         self.reflector_at = place
+
+    def carry_reflector(self, near_mm: Array) -> None:
+        """Move the reflector to the place nearest to (3,), tracker's frame; raises `ValueError`."""
+        near = transform_point(self.tracker.pose_in_world, near_mm).tolist()
+        places = self.places_in_world()
+        off_mm = {name: math.dist(at_mm.tolist(), near) for name, at_mm in places.items()}
+        self.place_reflector(min(off_mm, key=off_mm.__getitem__))
 
     def reflectors_in_world(self) -> dict[str, Array]:
         """Return the visible reflectors (3,) in {W}, by their place."""
@@ -284,9 +293,11 @@ class ReplayTruth:
     def aimed_at(self) -> None:
         """Return None: nobody has put the beam anywhere."""
 
-    def place_reflector(self, place: str) -> None:
+    def place_reflector(self, place: str | Array) -> None:
         """Raise `ValueError`: recorded reflectors do not move."""
         raise ValueError("the reflectors of recorded data cannot be moved")
+
+    carry_reflector = place_reflector
 
 
 class MotionFaults(NamedTuple):

@@ -234,11 +234,12 @@ class Rests(NamedTuple):
         """
         settle = cell.settle
         shown = cell.plan.quick and abilities(cell)["tracker_streams"]
-        if not shown or cell.layout.by_hand:
+        if not shown:
             return cls(settle.robot_s, settle.rail_s)
-        return cls(
-            min(settle.robot_s, settle.robot_least_s), min(settle.rail_s, settle.rail_least_s)
-        )
+        robot_s = min(settle.robot_s, settle.robot_least_s)
+        if cell.layout.by_hand:  # the nest is empty
+            return cls(robot_s, settle.rail_s)
+        return cls(robot_s, min(settle.rail_s, settle.rail_least_s))
 
 
 def is_robot_driven(cell: Cell) -> bool:

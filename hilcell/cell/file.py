@@ -36,6 +36,7 @@ from hilcell.cell.source import (
 )
 from hilcell.cell.surroundings import KeepOut, Surroundings, keep_out_problems
 from hilcell.cell.tables import (
+    UNPLACED_MM,
     Angle,
     Count,
     Frozen,
@@ -290,9 +291,6 @@ __all__ = [
 MOST_POINTS = 100_000  # of the grid, and of targets in it
 
 
-UNPLACED_MM = 1e5  # middle of a draft's travel: a place that no strip reads
-
-
 class Station(Frozen, frozen=True, kw_only=True):
     """A working position on the rail, defined by its strip reading."""
 
@@ -440,14 +438,17 @@ class ValidationTable(Frozen, frozen=True, kw_only=True):
 
 
 class VolumesTable(Frozen, frozen=True, kw_only=True):
-    """Where keep-out volumes come from: a list of boxes, and names of those to be taught."""
+    """Where keep-out volumes come from: a list of boxes, names of those to be taught, and for a
+    robot without a rail the ``floor`` up to the floor nests, with the tracker on it.
+    """
 
     file: str = ""
     teach: list[Name] = field(default_factory=list)
+    floor: bool = False
 
     def __post_init__(self) -> None:
-        if not (self.file or self.teach):
-            raise ValueError("expected file, teach, or both")
+        if not (self.file or self.teach or self.floor):
+            raise ValueError("expected file, teach or floor, got none")
         if len(set(self.teach)) != len(self.teach):
             raise ValueError(f"teach: names must differ, got {', '.join(self.teach)}")
 
@@ -549,11 +550,16 @@ class Cell(Frozen, frozen=True, kw_only=True):
             self._bad_others,
             self._bad_survey,
             self._bad_reflectors,
+            self._bad_volumes,
             lambda: keep_out_problems(
                 self.keep_out, self.robot.envelope, coming=self.volumes is not None
             ),
             lambda: tool_problems(self.tool, self.robot.options.get("tool")),
         )
+
+    def _bad_volumes(self) -> Iterator[str]:
+        if self.volumes is not None and self.volumes.floor and self.has_rail:
+            yield "volumes.floor: expected false, got true: this arm can reach its rail"
 
     def _bad_names(self) -> Iterator[str]:
         most = 1000

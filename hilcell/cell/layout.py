@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import field
 
 from hilcell.cell.settings import refuse
-from hilcell.cell.tables import Count, Frozen, Length, Name, Point, Pose, Rate, Size
+from hilcell.cell.tables import UNPLACED_MM, Count, Frozen, Length, Name, Point, Pose, Rate, Size
 from hilcell.geometry.kinematics import Array
 
 CERTIFIED_C = 20.0  # of lengths: ISO 1
@@ -112,6 +112,11 @@ class Layout(Frozen, frozen=True, kw_only=True):
     def fixed_nests(self) -> list[Nest]:
         """Return the nests in {W}, not on the slide."""
         return [*self.floor, *self.bar]
+
+    @property
+    def is_unplaced(self) -> bool:
+        """Whether the floor nests are a draft's, which the tracker places where they stand."""
+        return all(nest.z_mm == UNPLACED_MM for nest in self.floor)
 
     @property
     def by_hand(self) -> bool:

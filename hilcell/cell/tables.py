@@ -35,6 +35,9 @@ Sweep = tuple[Angle, Angle]
 Six = tuple[Angle, Angle, Angle, Angle, Angle, Angle]
 
 
+UNPLACED_MM = 1e5  # of a draft, a place that no strip reads and no nest has
+
+
 class Frozen(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, dict=True):
     """A table of the cell file."""
 

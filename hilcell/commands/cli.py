@@ -49,6 +49,7 @@ OWN_EXITS = {  # of commands that differ from these
     "compare": "0 whatever changed: see `verdict` of `--json`",
     "doctor": "2 if something is WRONG; 0 with notes",
     "plant": "see [Records of a plant](plant.md)",
+    "quickstart": "1 as well if a step has not proved what it should",
     "revoke": "6 while another run has locked the cell",
     "runs": "0 also with unreadable runs: see `state` of `--json`",
     "show": "0 whatever the run's outcome: see `exit` of `--json`; with `--check` 1 if an "
@@ -91,6 +92,7 @@ GROUPS: Mapping[str, Commands] = {
         "revoke": (signatures.Revoke, "runs:revoke"),
     },
     "setup": {
+        "quickstart": (signatures.Quickstart, "quickstart:quickstart"),
         "commission": (signatures.Commission, "commission:commission"),
         "check": (signatures.Check, "cell:check"),
         "doctor": (signatures.Doctor, "doctor:doctor"),

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from queue import Queue
 
 from hilcell.atomic_files import check_output, write_whole
+from hilcell.cell.file import Cell
 from hilcell.commands.console import print_message, print_table
 from hilcell.commands.run_output import ProgressOutput, print_end
-from hilcell.commands.signatures import Commission
+from hilcell.commands.signatures import Commission, Quickstart
 from hilcell.commission.dialogue import TypedDialogue
+from hilcell.commission.first_steps import carry_reflector
 from hilcell.commission.page import CommissioningPage, page_html, page_path
 from hilcell.commission.record import record_path
 from hilcell.commission.sequence import Step
@@ -23,13 +25,14 @@ from hilcell.commission.steps import (
     standing,
     steps_to_perform,
 )
+from hilcell.decoding import Json
 from hilcell.errors import EXIT_OK, EXIT_OUT_OF_TOLERANCE, HilcellError
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
 from hilcell.model.records import WAITING, StateChanged
 from hilcell.present.table import Column, Table
 from hilcell.report.pdf import find_browser, pdf_of
-from hilcell.run.control import order
+from hilcell.run.control import MEASURED_S, order
 from hilcell.run.engine import NewEngine
 from hilcell.run.order import Order
 
@@ -43,18 +46,7 @@ def commission(args: Commission) -> int:
         return _list(args.cell)
     if args.report:
         return _report(args.cell, Path(args.report))
-    lines: Queue[str | None] = Queue(MOST_LINES)
-    threading.Thread(target=_read, args=(lines,), name="keyboard", daemon=True).start()
-    dialogue = TypedDialogue(lines, print_message)
-    work = Commissioning(
-        args.cell, dialogue, args.operator, lambda name: _run(name, args, dialogue)
-    )
-    proved = work.perform(steps_to_perform(args.cell, args.first, args.only))
-    print_message(standing(args.cell))
-    print_message(
-        f"{dialogue.questions} questions; the record is {record_path(args.cell)}, to read and sign "
-        f"{page_path(args.cell)}"
-    )
+    proved = Terminal(args).commissions(steps_to_perform(args.cell, args.first, args.only))
     return EXIT_OK if proved else EXIT_OUT_OF_TOLERANCE
 
 
@@ -86,18 +78,13 @@ def _report(cell: Path, place: Path) -> int:
     return EXIT_OK
 
 
-def _read(lines: Queue[str | None]) -> None:
-    for line in sys.stdin:
-        lines.put(line)
-    lines.put(None)
-
-
 class _AnsweringOutput(ProgressOutput):
     """Shows a run's progress; a line typed while it waits answers it."""
 
-    def __init__(self, folder: Path, points: int, dialogue: TypedDialogue) -> None:
+    def __init__(self, folder: Path, points: int, cell: Cell, dialogue: TypedDialogue) -> None:
         super().__init__(folder, points)
-        self._run, self._dialogue = folder, dialogue
+        self._run, self._cell, self._dialogue = folder, cell, dialogue
+        self._prompt: Json | None = None  # that a line answers; None for a mere pause
         self._waits, self._ended = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._answer, name="answers", daemon=True)
         self._thread.start()
@@ -110,8 +97,10 @@ class _AnsweringOutput(ProgressOutput):
                 if to in WAITING:
                     asked = "" if prompt is None else f"{prompt['title']}. {prompt['text']}"
                     words = asked or change.reason
-                    self._print(words if alone else f"{words}; {self._dialogue.how}, ctrl-C stops")
+                    how = f"{words.removesuffix('.')}; {self._dialogue.how}, ctrl-C stops"
+                    self._print(words if alone else how)
                     if not alone:
+                        self._prompt = prompt
                         self._dialogue.drop_typed_ahead()
                         self._waits.set()
                     return
@@ -132,25 +121,59 @@ class _AnsweringOutput(ProgressOutput):
                 self._ended.wait(ANSWER_S)
                 continue
             self._waits.clear()
+            prompt = self._prompt
             try:
-                order(self._run, "proceed")
+                if prompt is None:
+                    order(self._run, "proceed")
+                    continue
+                if prompt["expected_mm"] is not None:
+                    carry_reflector(self._cell, prompt["expected_mm"])
+                order(self._run, "answer", timeout_s=MEASURED_S)
             except HilcellError as error:
-                print_message(str(error))
+                print_message(f"{error}; {self._dialogue.how}")
+                if prompt is not None:  # it is still open
+                    self._waits.set()
 
 
-def _run(procedure: str, args: Commission, dialogue: TypedDialogue) -> tuple[str, Log]:
-    """Run a procedure on the cell file to its end; return the run's name and its log."""
-    ordered = Order(
-        procedure=procedure, cell=str(args.cell), runs=args.runs, operator=args.operator
-    )
-    say: Callable[[str], object] = print_message
-    plan = ordered.check(say)
-    with NewEngine(ordered, plan, say) as engine:
-        output = _AnsweringOutput(plan.folder, plan.points, dialogue)
-        code, fault, _ = engine.run(output)
-        log: Log = engine.journal.log
-        output.close(code, log, fault)
-        if fault is not None:
-            print_end(plan.folder, log, plan.procedure, output, fault)
-            raise StepEnded(procedure, code)
-        return plan.folder.name, log
+class Terminal:
+    """A person at a terminal who answers questions and runs; lines typed ahead wait their turn."""
+
+    def __init__(self, args: Commission | Quickstart) -> None:
+        self._args = args
+        self._lines: Queue[str | None] = Queue(MOST_LINES)
+        threading.Thread(target=self._read, name="keyboard", daemon=True).start()
+        self.dialogue = TypedDialogue(self._lines, print_message)
+
+    def commissions(self, steps: Sequence[Step]) -> bool:
+        """Perform steps of commissioning; return whether all of them proved."""
+        cell, dialogue = self._args.cell, self.dialogue
+        proved = Commissioning(cell, dialogue, self._args.operator, self.run).perform(steps)
+        print_message(standing(cell))
+        print_message(
+            f"{dialogue.questions} questions; the record is {record_path(cell)}, to read and sign "
+            f"{page_path(cell)}"
+        )
+        return proved
+
+    def run(self, procedure: str) -> tuple[str, Log]:
+        """Run a procedure on the cell file to its end; return the run's name and its log."""
+        args = self._args
+        ordered = Order(
+            procedure=procedure, cell=str(args.cell), runs=args.runs, operator=args.operator
+        )
+        say: Callable[[str], object] = print_message
+        plan = ordered.check(say)
+        with NewEngine(ordered, plan, say) as engine:
+            output = _AnsweringOutput(plan.folder, plan.points, plan.cell, self.dialogue)
+            code, fault, _ = engine.run(output)
+            log: Log = engine.journal.log
+            output.close(code, log, fault)
+            if fault is not None:
+                print_end(plan.folder, log, plan.procedure, output, fault)
+                raise StepEnded(procedure, code)
+            return plan.folder.name, log
+
+    def _read(self) -> None:
+        for line in sys.stdin:
+            self._lines.put(line)
+        self._lines.put(None)

@@ -302,13 +302,14 @@ def report(args: Report) -> int:
 
 def export(args: Export) -> int:
     from hilcell.report.dcc import dcc_bytes
-    from hilcell.report.export import csv_bytes, json_bytes, xlsx_bytes
+    from hilcell.report.export import csv_bytes, json_bytes, urdf_of_run, xlsx_bytes
 
     written, suffixes, what = {
         "csv": (csv_bytes, CSV, "CSV"),
         "xlsx": (xlsx_bytes, (".xlsx",), "a workbook"),
         "json": (json_bytes, (".json",), "JSON"),
         "dcc": (dcc_bytes, (".xml", ".dcc"), "a DCC"),
+        "urdf": (urdf_of_run, (".urdf", ".xml"), "a URDF"),
     }[args.form]
     folder, place = find_run(args.runs, args.run), Path(args.output)
     check_output(place, suffixes, what, inputs=_files(folder))

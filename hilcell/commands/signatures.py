@@ -208,12 +208,13 @@ class Report(OfRun):
 class Export(OfRun):
     """Export a run's data."""
 
-    form: Literal["csv", "xlsx", "json", "dcc"] = option(
+    form: Literal["csv", "xlsx", "json", "dcc", "urdf"] = option(
         switches={
             "csv": "points",
             "xlsx": "workbook of run, points, frames and results",
             "json": "all data",
             "dcc": "Digital Calibration Certificate (PTB, XML)",
+            "urdf": "the identified arm: link parameters alone",
         }
     )
     output: str = option("the file to write", "FILE", flags=OUTPUT)
@@ -261,6 +262,14 @@ class Commission(Signature):
     operator: str = NOTED
     list: bool = option("list the steps, who has proved them and when", default=False)
     report: str = option("write the page of the record, and perform nothing", "FILE", default="")
+
+
+class Quickstart(Signature):
+    """Calibrate a robot on the floor with three nests and one reflector, from no cell file on."""
+
+    cell: Path = option("cell file, new or begun", "CELL.toml", Path, positional=True)
+    runs: Path = RUNS
+    operator: str = NOTED
 
 
 class Doctor(Signature):

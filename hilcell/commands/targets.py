@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hilcell.atomic_files import CSV, check_output
+from hilcell.atomic_files import CSV, check_output, write_whole
 from hilcell.calibration.tool_point import tip_named
 from hilcell.cell.devices import load_measured
 from hilcell.cell.file import Cell
@@ -238,12 +238,12 @@ def _check_arm(args: Fit, inputs: list[Path]) -> None:
 
 def _write_arm(args: Fit, fit: RobotFit, inputs: list[Path]) -> dict[str, float]:
     """Write the identified arm as URDF and DH table; return its residuals in mm."""
-    from hilcell.fit.rigid_arm import alone, rigid_arm, write_dh, write_urdf
+    from hilcell.fit.rigid_arm import alone, rigid_arm, urdf_bytes, write_dh
 
     arm = rigid_arm(fit)
     if args.urdf_out:
         remarks = [f"{fit.result['train']} rows of {Path(args.train).name}.", *alone(arm.figures)]
-        write_urdf(Path(args.urdf_out), fit.robot, arm, remarks, inputs=inputs)
+        write_whole(Path(args.urdf_out), urdf_bytes(fit.robot, arm, remarks), inputs=inputs)
         inputs = [*inputs, Path(args.urdf_out)]
     if args.dh_out:
         write_dh(Path(args.dh_out), fit.robot, arm, inputs=inputs)

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import math
 
-from hilcell.cell.file import UNPLACED_MM
 from hilcell.cell.robot import Joint
-from hilcell.cell.tables import Pose
+from hilcell.cell.tables import UNPLACED_MM, Pose
 from hilcell.commission.cell_text import CellText
 from hilcell.commission.known_robots import KnownRobot
 from hilcell.decoding import Json
 
 ASSUMED = "assumed; a later step measures it"
-SLIDE_RADIUS_MM = 400.0
+BASE = {"x_mm": 0.0, "y_mm": 0.0, "z_mm": 300.0}
+RING_MM = 400.0
 SURVEY_MM = 300.0
 MARGIN_MM = 30.0  # of a measure by tape
 
@@ -61,25 +61,31 @@ def write_travel(text: CellText, room_mm: float) -> None:
     text.set("survey.to_mm", UNPLACED_MM + SURVEY_MM)
 
 
+def write_floor_robot(text: CellText, nests: int) -> None:
+    """Write what a robot on the floor with one reflector has, before anybody is asked."""
+    write_new(text, "layout.reflectors", "by_hand", "one, carried from nest to nest")
+    write_new(text, "layout.base", BASE, ASSUMED)  # with a base and no rail there is none
+    if text.get("layout.floor") is None:
+        write_nests(text, nests)
+
+
+def write_nests(text: CellText, count: int) -> None:
+    """Write floor nests at a place that none has: the tracker's step moves them to where they
+    stand.
+    """
+    text.set("layout.floor", ring("N", count, UNPLACED_MM), "a later step places them")
+
+
 def write_places(text: CellText, slide_nests: int) -> None:
     """Write assumed places of tracker and base, and, unless there are no nests on a slide, of these
     and of the first station.
     """
-    turns = [2.0 * math.pi * n / slide_nests for n in range(slide_nests)]
-    nests = [
-        {
-            "name": f"P{n + 1}",
-            "x_mm": round(SLIDE_RADIUS_MM * math.cos(turn), 1),
-            "y_mm": round(SLIDE_RADIUS_MM * math.sin(turn), 1),
-            "z_mm": 100.0,
-        }
-        for n, turn in enumerate(turns)
-    ]
+    nests = ring("P", slide_nests, 100.0)
     middle_mm = _middle_of_travel(text)
     write_new(text, "tracker.find_radius_mm", 50.0)
     assumed: list[tuple[str, object]] = [
         ("tracker.pose", {"x_mm": 4000.0, "y_mm": 0.0, "z_mm": 1500.0, "a_deg": 180.0}),
-        ("layout.base", {"x_mm": 0.0, "y_mm": 0.0, "z_mm": 300.0}),
+        ("layout.base", BASE),
     ]
     if nests:
         write_new(text, "grid.station", "S1")
@@ -92,6 +98,20 @@ def write_places(text: CellText, slide_nests: int) -> None:
         write_new(text, "touch.poses", 0, "no touch poses without a rail")
     for key, value in assumed:
         write_new(text, key, value, ASSUMED)
+
+
+def ring(letter: str, count: int, z_mm: float) -> list[Json]:
+    """Return nests at assumed places, evenly around a circle."""
+    turns = [2.0 * math.pi * n / count for n in range(count)]
+    return [
+        {
+            "name": f"{letter}{n + 1}",
+            "x_mm": round(RING_MM * math.cos(turn), 1),
+            "y_mm": round(RING_MM * math.sin(turn), 1),
+            "z_mm": z_mm,
+        }
+        for n, turn in enumerate(turns)
+    ]
 
 
 def write_new(text: CellText, path: str, value: object, comment: str = "") -> None:

@@ -24,7 +24,7 @@ from hilcell.cell.surroundings import LEAST_MM, LINKS
 from hilcell.clock import WallClock
 from hilcell.commission.cell_text import CellText
 from hilcell.commission.dialogue import Dialogue, number, word
-from hilcell.commission.draft import write_new, write_places, write_robot, write_travel
+from hilcell.commission.draft import write_nests, write_new, write_places, write_robot, write_travel
 from hilcell.commission.known_robots import known_robots, stated_robot
 from hilcell.commission.record import Check
 from hilcell.compensation.targets import read_named_rows
@@ -34,7 +34,8 @@ from hilcell.errors import HilcellError
 from hilcell.identity import Identity
 
 DRAWING_MM = 1e5
-REAL, NONE = "real", "none"
+REAL, NONE, FLOOR = "real", "none", "floor"
+LEAST_NESTS = 3
 ELSEWHERE = "other"
 ADDRESSES = {"host": "192.168.10.20", "channel": "can0"}  # options, each with an example
 Addresses = Mapping[str, Mapping[str, object]]
@@ -233,39 +234,49 @@ class WhichDevices:
     def _nests(self) -> None:
         if self._text.get("layout.floor") is None:
             nests = self._dialogue.ask(
-                "floor nests: a CSV file of the drawing (name,x_mm,y_mm,z_mm in {W})", drawing
+                "floor nests: a CSV file of the drawing (name,x_mm,y_mm,z_mm in {W}), or "
+                f"{NONE}: the tracker finds where they stand",
+                drawing,
             )
-            self._text.set("layout.floor", nests, "of the drawing")
+            if nests:
+                self._text.set("layout.floor", nests, "of the drawing")
+            else:
+                count = self._dialogue.ask("how many floor nests are there?", nest_count, "3")
+                write_nests(self._text, count)
         if self._text.get("rail") is None:
             write_places(self._text, 0)
         elif self._text.get("layout.slide") is None:
-            count = self._dialogue.ask(
-                "how many nests are on the slide?", lambda text: int(number(3, 100, "")(text)), "4"
-            )
+            count = self._dialogue.ask("how many nests are on the slide?", nest_count, "4")
             write_places(self._text, count)
 
     def _volumes(self) -> None:
         """Ask where the keep-out volumes come from, and for the arm's shape among them."""
-        if self._text.get("keep_out") is not None or self._text.get("volumes") is not None:
-            return
+        if self._text.get("keep_out") is None and self._text.get("volumes") is None:
+            self._sources_of_volumes()
+        volumes = self._text.get("keep_out") or self._text.get("volumes")
+        if volumes and self._text.get("robot.envelope") is None:
+            self._shape()
+
+    def _sources_of_volumes(self) -> None:
+        rail, boxes = self._text.get("rail") is not None, ",".join(HEADER)
+        floor = f"{FLOOR} (the floor up to its nests, and the tracker; all else is out of reach)"
         file = self._dialogue.ask(
-            f"keep-out volumes: a CSV file of boxes ({','.join(HEADER)}; on_slide: 1 in nominal "
-            f"{{B}}, 0 in {{W}}), or {NONE}",
-            volume_list,
+            f"keep-out volumes: a CSV file of boxes ({boxes}; on_slide: 1 in nominal {{B}}, 0 in "
+            f"{{W}}), {'' if rail else f'{floor}, '}or {NONE}",
+            lambda answer: FLOOR if answer == FLOOR and not rail else volume_list(answer),
             NONE,
         )
+        if file == FLOOR:
+            self._text.set("volumes.floor", True)
+            return
         names = self._dialogue.ask(
             f"keep-out volumes whose corners you will teach with a reflector: names, or {NONE}",
             taught_names,
             NONE,
         )
-        if not file and not names:
-            return
         for key, value in (("file", file), ("teach", names)):
             if value:
                 self._text.set(f"volumes.{key}", value)
-        if self._text.get("robot.envelope") is None:
-            self._shape()
 
     def _shape(self) -> None:
         known = known_robots(str(self._text.get("robot.driver"))).get(
@@ -342,15 +353,23 @@ def radii(answer: str) -> list[float]:
     return values
 
 
+def nest_count(answer: str) -> int:
+    """Return a number of nests; raises `ValueError`."""
+    most = 100
+    return int(number(LEAST_NESTS, most, "nests")(answer))
+
+
 def drawing(answer: str) -> list[Json]:
-    """Return the nests of a list (docs/lists.md); raises `ValueError`."""
-    path, header, least = Path(answer), [*Nest.__struct_fields__], 3
+    """Return the nests of a list (docs/lists.md), none for "none"; raises `ValueError`."""
+    if answer == NONE:
+        return []
+    path, header = Path(answer), [*Nest.__struct_fields__]
     try:
         rows = read_named_rows(path, read_file(path), [header], "nests")
     except SettingsError as error:
         raise ValueError(str(error)) from error
-    if len(rows.names) < least:
-        raise ValueError(f"{answer}: expected {least} or more nests, got {len(rows.names)}")
+    if len(rows.names) < LEAST_NESTS:
+        raise ValueError(f"{answer}: expected {LEAST_NESTS} or more nests, got {len(rows.names)}")
     both = zip(rows.names, rows.values, strict=True)
     return [dict(zip(header, [name, *xyz_mm], strict=True)) for name, xyz_mm in both]
 
@@ -377,6 +396,17 @@ def ask_the_person(cell: Cell, device: str) -> None:
     with running(cell) as simulated:
         if isinstance(simulated, ports.HasPerson):
             simulated.pull_cable(device)
+
+
+def carry_reflector(cell: Cell, near_mm: Sequence[float]) -> None:
+    """Let the person in a running simulated cell seat the only reflector in the nest nearest to
+    (3,), tracker's frame; a real one has read it.
+    """
+    if not cell.layout.by_hand or cell.simulation is None or not cell.simulation.address:
+        return
+    with running(cell) as simulated:
+        if isinstance(simulated, ports.HasPerson):
+            simulated.carry_reflector(near_mm)
 
 
 def what_devices_can(cell: Cell) -> list[ports.Ability]:

@@ -118,10 +118,8 @@ def write_dh(path: Path, robot: Robot, fitted: RigidArm, *, inputs: Iterable[Pat
     write_whole(path, msgspec.json.format(msgspec.json.encode(table), indent=1), inputs=inputs)
 
 
-def write_urdf(
-    path: Path, robot: Robot, fitted: RigidArm, remarks: Sequence[str], *, inputs: Iterable[Path]
-) -> None:
-    """Write the nominal file with the identified origins, or a new one; raises `NotWritten`."""
+def urdf_bytes(robot: Robot, fitted: RigidArm, remarks: Sequence[str]) -> bytes:
+    """Return the nominal file with the identified origins, or a new one, with remarks."""
     chain = Chain.of(robot.base, replace(fitted.arm, tool=robot.tool))
     left = np.eye(4)
     if isinstance(robot, Urdf):
@@ -145,10 +143,8 @@ def write_urdf(
         ),
     ]
     if isinstance(robot, Urdf):
-        content = robot.with_chain(chain, comment)
-    else:
-        content = urdf_of(robot.name, chain, comment)
-    write_whole(path, content, inputs=inputs)
+        return robot.with_chain(chain, comment)
+    return urdf_of(robot.name, chain, comment)
 
 
 def _coupled(arm: Arm) -> list[str]:

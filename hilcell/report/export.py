@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from operator import attrgetter
 
@@ -13,7 +13,7 @@ import numpy as np
 from hilcell.calibration.orientation import last_orientation_errors, seats_of
 from hilcell.geometry.frames import apply, zyx_from_pose
 from hilcell.journal.journal import Record
-from hilcell.journal.log import Log
+from hilcell.journal.log import Log, commanded_rad, positions_mm
 from hilcell.model.point import Point
 from hilcell.ports import Array
 from hilcell.present.renderers import csv_content, xlsx_of
@@ -195,6 +195,25 @@ def xlsx_bytes(facts: Facts) -> bytes:
     """Return a workbook with `sheets`."""
     begun = datetime.fromisoformat(facts.records[0].t)
     return xlsx_of(sheets(facts), begun, {COMPARED: "before_after"})
+
+
+def urdf_of_run(facts: Facts) -> bytes:
+    """Return the arm as `hilcell fit` identifies it from the run's points; raises `HilcellError`.
+
+    Its base is the robot's. It has link parameters alone: the calibration has more.
+    """
+    from hilcell.fit.measurements import Measurements  # all load long
+    from hilcell.fit.methods import fit_robot
+    from hilcell.fit.rigid_arm import alone, rigid_arm, urdf_bytes
+    from hilcell.fit.robot_file import Robot
+
+    log, robot = facts.log, facts.cell.robot
+    learnt = [*log.select("grid"), *log.select("pose")]
+    rows = Measurements.from_arrays(commanded_rad(learnt), positions_mm(learnt))
+    nominal = Robot(robot.name, replace(robot.arm(), tool=np.eye(4)))
+    fitted = rigid_arm(fit_robot(nominal, rows))
+    remarks = [f"{len(rows)} poses of run {facts.run}.", *alone(fitted.figures)]
+    return urdf_bytes(nominal, fitted, remarks)
 
 
 def json_bytes(facts: Facts) -> bytes:

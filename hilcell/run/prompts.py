@@ -52,8 +52,8 @@ class Prompt(msgspec.Struct, frozen=True, kw_only=True):
         on = "on the flange" if place == FLANGE else f"in {place}"
         return cls(
             title=f"Seat the reflector {on}",
-            text=f"{take} seat it in {_where(cell, place)}. The robot rests at its safe pose, the "
-            "slide is held.",
+            text=f"{take} seat it in {_where(cell, place)}. The robot rests at its safe pose"
+            f"{', the slide is held' if cell.has_rail else ''}.",
             place=place,
             expected_mm=_rounded(expected_mm),
             limit_mm=limit_mm,
@@ -83,8 +83,8 @@ class Prompt(msgspec.Struct, frozen=True, kw_only=True):
         """Return the prompt to put the beam on a place; it goes on by itself."""
         return cls(
             title=f"Put the beam on {place}",
-            text="The run goes on by itself once the tracker measures the reflector there. Slide "
-            "and robot are at rest.",
+            text="The run goes on by itself once the tracker measures the reflector there. Nothing "
+            "moves.",
             place=place,
             expected_mm=None,
             limit_mm=1.0,

@@ -5,14 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from hilcell.geometry.frames import apply, inverse, unit
+from hilcell.cell.file import Cell, Nest
+from hilcell.cell.tables import UNPLACED_MM, Pose
+from hilcell.geometry.frames import apply, from_zyx, inverse, matrix, unit
 from hilcell.model.events import PlaceSeen
 from hilcell.model.verdicts import Proved
 from hilcell.ports import Array, DeviceError, TrackerReading
-from procedures.commission_places import COMMISSION_SLIDE, COMMISSION_TRACKER
+from procedures.commission_places import COMMISSION_SLIDE, COMMISSION_TRACKER, world_of
 from tests.hilcell.run.bed import CELL, Bed
 from tests.hilcell.run.test_places_taken import NOMINAL_MM, HallTracker
 
@@ -28,9 +33,9 @@ class Person(HallTracker):
         return super().measure_aimed(reflector, samples)
 
 
-def hall(folder: Path, nests_mm: Array) -> tuple[Bed, Person]:
+def hall(folder: Path, nests_mm: Array, cell: Cell = CELL) -> tuple[Bed, Person]:
     """Return a bed of a hall with nests (N, 3) in {L}."""
-    bed = Bed(folder, unattended=False)
+    bed = Bed(folder, unattended=False, cell=cell)
     tracker = Person(bed.tracker, nests_mm)
     bed.devices = replace(bed.devices, tracker=tracker)
     return bed, tracker
@@ -61,6 +66,64 @@ def test_another_reflector_is_named_and_no_pose_is_written(
         assert f"reflectors of {found} where the tracker is set to 1.5 in" in (
             by_name["reflector"].found
         )
+
+
+UNPLACED = msgspec.structs.replace(
+    CELL,
+    layout=msgspec.structs.replace(
+        CELL.layout,
+        floor=[
+            Nest(name=f"N{n}", x_mm=x_mm, y_mm=y_mm, z_mm=UNPLACED_MM)
+            for n, (x_mm, y_mm) in enumerate([(400.0, 0.0), (-200.0, 346.4), (-200.0, -346.4)], 1)
+        ],
+        bar=[],
+        length=[],
+    ),
+)
+
+
+def test_nests_without_a_drawing_define_the_frame_where_they_stand(tmp_path: Path) -> None:
+    at_mm = np.array([[0.0, 0.0, 0.0], [1600.0, 0.0, 0.0], [700.0, -1200.0, 0.0]])
+    bed, _ = hall(tmp_path, apply(T_L_W, at_mm), UNPLACED)
+    assert bed.run(COMMISSION_TRACKER) == 0, bed.log().fault
+    values = proved(bed)["floor nests"].values
+    found = [Nest(**each) for each in values["layout.floor"]]  # type: ignore[attr-defined]
+    assert [nest.name for nest in found] == ["N1", "N2", "N3"]
+    assert np.allclose([nest.xyz_mm for nest in found], at_mm, atol=2e-3)
+    pose = Pose(**values["tracker.pose"])  # type: ignore[arg-type]
+    assert np.allclose(pose.matrix(), CELL.tracker.pose.matrix(), atol=2e-3)
+
+
+def test_nests_along_a_line_define_no_frame(tmp_path: Path) -> None:
+    at_mm = np.array([[0.0, 0.0, 0.0], [1600.0, 0.0, 0.0], [700.0, -299.0, 0.0]])
+    bed, _ = hall(tmp_path, apply(T_L_W, at_mm), UNPLACED)
+    assert bed.run(COMMISSION_TRACKER) == 1
+    verdict = proved(bed)["floor nests"]
+    assert (verdict.holds, verdict.values) == (False, {})
+    assert "of which no frame follows" in verdict.found
+
+
+@given(
+    st.tuples(*[st.floats(-3000.0, 3000.0)] * 9),
+    st.floats(-180.0, 180.0),
+)
+def test_the_frame_of_nests_does_not_depend_on_the_tracker_s_place(
+    corners: tuple[float, ...], turned_deg: float
+) -> None:
+    """Its z is the side on which the tracker stands upright."""
+    floor_mm = np.reshape(corners, (3, 3))
+    T_W_L = world_of(floor_mm)
+    if T_W_L is None:
+        return
+    seen_mm = apply(T_W_L, floor_mm)
+    assert np.allclose(seen_mm[0], 0.0, atol=1e-6)
+    assert np.allclose([*seen_mm[1, 1:], seen_mm[2, 2]], 0.0, atol=1e-6)
+    assert seen_mm[1, 0] > 0.0
+    assert T_W_L[2, 2] >= 0.0
+    elsewhere = matrix(from_zyx([turned_deg, 0.0, 0.0]), np.array([500.0, -800.0, 300.0]))
+    again = world_of(apply(elsewhere, floor_mm))
+    assert again is not None
+    assert np.allclose(again @ elsewhere, T_W_L, atol=1e-6)
 
 
 def test_a_tracker_that_is_gone_is_not_waited_for(tmp_path: Path) -> None:

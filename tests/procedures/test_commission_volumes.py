@@ -7,7 +7,7 @@ from hilcell.cell.file import VolumesTable, load_cell
 from hilcell.cell.surroundings import KeepOut
 from hilcell.cell.tables import Pose
 from hilcell.commission.sequence import STEPS
-from procedures.commission_volumes import least_clearances, to_teach
+from procedures.commission_volumes import floor_and_tracker, least_clearances, listed, to_teach
 
 PAPER = load_cell("paper")
 WITHOUT = msgspec.structs.replace(
@@ -42,6 +42,20 @@ def test_names_of_the_file_are_not_taught_again() -> None:
     volumes = VolumesTable(teach=["fence", "floor"])
     assert to_teach(msgspec.structs.replace(PAPER, volumes=volumes)) == ["fence"]
     assert to_teach(msgspec.structs.replace(WITHOUT, volumes=volumes)) == ["fence", "floor"]
+
+
+def test_the_floor_reaches_up_to_the_nests_and_the_tracker_stands_on_it() -> None:
+    cell = load_cell("fixed")
+    floor, tracker = floor_and_tracker(cell)
+    assert floor.centre.z_mm + floor.size_mm[2] / 2.0 == max(n.z_mm for n in cell.layout.floor)
+    low_mm = tracker.centre.z_mm - tracker.size_mm[2] / 2.0
+    high_mm = tracker.centre.z_mm + tracker.size_mm[2] / 2.0
+    assert low_mm == 0.0
+    assert low_mm < cell.tracker.pose.z_mm < high_mm
+    stated = msgspec.structs.replace(cell, keep_out=[], volumes=VolumesTable(floor=True))
+    assert [each.name for each in listed(stated)] == ["floor", "tracker"]
+    stated = msgspec.structs.replace(stated, keep_out=[floor])
+    assert [each.name for each in listed(stated)] == ["tracker"]
 
 
 def test_who_gives_no_volumes_is_asked_whether_that_is_meant() -> None:

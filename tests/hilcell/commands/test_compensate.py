@@ -368,6 +368,7 @@ def test_a_list_is_not_named_like_another_form(desk: Workplace) -> None:
         ("export --dcc", "x.svg", "x.xml"),
         ("export --xlsx", "x.xls", "x.xlsx"),
         ("export --json", "x.HTML", "x.json"),
+        ("export --urdf", "x.json", "x.urdf"),
     ],
 )
 def test_reports_and_tables_are_not_named_like_another_form(

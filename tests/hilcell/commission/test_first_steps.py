@@ -7,16 +7,22 @@ from queue import Queue
 import msgspec
 import pytest
 
+from hilcell.cell.layout import Nest
 from hilcell.cell.settings import SettingsError
+from hilcell.cell.tables import UNPLACED_MM
 from hilcell.commission.cell_text import CellText
 from hilcell.commission.dialogue import TypedDialogue
+from hilcell.commission.draft import write_floor_robot
 from hilcell.commission.first_steps import (
     WhichDevices,
+    drawing,
+    nest_count,
     radii,
     real_or_address,
     taught_names,
     volume_list,
 )
+from hilcell.commission.sequence import steps_of
 from hilcell.errors import HilcellError
 from hilcell.ports import Candidate, Identity
 
@@ -134,6 +140,26 @@ def test_an_impossible_port_is_refused_by_its_key(driver: str, option: str, tmp_
         WhichDevices(cell, CellText.read(cell), dialogue).perform()
     assert refused.value.source == "robot.options"
     assert refused.value.problems[0].startswith(f"{option.partition(' ')[0]}: ")
+
+
+def test_floor_nests_need_no_drawing() -> None:
+    assert drawing("none") == []
+    assert nest_count("3") == 3
+    with pytest.raises(ValueError, match=r"expected 3 \.\. 100 nests, got 2"):
+        nest_count("2")
+
+
+def test_what_a_floor_robot_has_is_kept_where_the_file_has_it() -> None:
+    text = CellText('[layout]\nreflectors = "mounted"\n')
+    write_floor_robot(text, 3)
+    once = text.text
+    write_floor_robot(text, 4)
+    assert text.text == once
+    assert text.get("layout.reflectors") == "mounted"
+    assert [step.name for step in steps_of(text) if step.of_rail] == []
+    floor = [Nest(**each) for each in text.values["layout"]["floor"]]
+    assert [nest.name for nest in floor] == ["N1", "N2", "N3"]
+    assert {nest.z_mm for nest in floor} == {UNPLACED_MM}
 
 
 def test_what_a_person_types_of_volumes() -> None:

@@ -8,8 +8,9 @@ import pytest
 from msgspec.structs import replace
 
 from hilcell.cell.devices import load_entry
-from hilcell.cell.file import UNPLACED_MM, load_cell
+from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
+from hilcell.cell.tables import UNPLACED_MM
 from hilcell.commission.dialogue import TypedDialogue
 from hilcell.commission.first_steps import drawing
 from hilcell.commission.page import CommissioningPage

@@ -10,7 +10,7 @@ import pytest
 from hilcell.fit.measurements import Measurements
 from hilcell.fit.methods import fit_robot
 from hilcell.fit.placement import FitError
-from hilcell.fit.rigid_arm import RigidArm, alone, rigid_arm, write_dh, write_urdf
+from hilcell.fit.rigid_arm import RigidArm, alone, rigid_arm, urdf_bytes, write_dh
 from hilcell.fit.robot_file import Robot
 from hilcell.fit.urdf_file import Urdf, read_urdf
 from hilcell.geometry.frames import apply, inverse
@@ -53,7 +53,7 @@ def test_a_calibrated_urdf_alone_predicts_other_poses(
     arm = found
     if form == "toml":
         robot, arm = IRB120, rigid_arm(fit_robot(IRB120, measured(1, 20, NAMES)))
-    write_urdf(tmp_path / "c.urdf", robot, arm, ["a remark"], inputs=[])
+    (tmp_path / "c.urdf").write_bytes(urdf_bytes(robot, arm, ["a remark"]))
     text = (tmp_path / "c.urdf").read_bytes()
     assert b"a remark" in text
     T_L_root = arm.T_L_B @ inverse(robot.base)
@@ -68,7 +68,8 @@ def test_a_calibrated_urdf_alone_predicts_other_poses(
 def test_the_comment_places_root_and_reflectors(
     urdf: Urdf, found: RigidArm, tmp_path: Path
 ) -> None:
-    write_urdf(tmp_path / "c.urdf", urdf, found, alone(figures_of(np.ones(3))), inputs=[])
+    content = urdf_bytes(urdf, found, alone(figures_of(np.ones(3))))
+    (tmp_path / "c.urdf").write_bytes(content)
     head = (tmp_path / "c.urdf").read_text().split("-->")[1]
     assert "1.0000 mm" in head
     line = next(each for each in head.splitlines() if "Root link" in each)

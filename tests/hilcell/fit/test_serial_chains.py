@@ -10,7 +10,7 @@ import pytest
 
 from hilcell.fit.measurements import Measurements
 from hilcell.fit.methods import RobotFit, fit_robot
-from hilcell.fit.rigid_arm import rigid_arm, write_dh, write_urdf
+from hilcell.fit.rigid_arm import rigid_arm, urdf_bytes, write_dh
 from hilcell.fit.robot_file import Robot
 from hilcell.geometry.frames import apply, apply_each, pose_from_zyx
 from hilcell.geometry.kinematics import Array, forward
@@ -152,7 +152,7 @@ def test_the_arm_on_a_rail_is_written_as_one_chain(tmp_path: Path) -> None:
     write_dh(tmp_path / "dh.json", robot, arm, inputs=[])
     table = json.loads((tmp_path / "dh.json").read_text())
     assert (len(table["parameters"]), table["prismatic"]) == (35, [1])
-    write_urdf(tmp_path / "c.urdf", robot, arm, [""], inputs=[])
+    (tmp_path / "c.urdf").write_bytes(urdf_bytes(robot, arm, [""]))
     text = (tmp_path / "c.urdf").read_text()
     for joints in CHAINS["on a rail"].joints(4, 5):
         reached = reached_m(text, {f"joint_{n}": q for n, q in enumerate(joints, start=1)})
@@ -170,5 +170,5 @@ def test_a_coupled_axis_is_an_option_of_the_robot(tmp_path: Path) -> None:
     fit = fit_robot(coupled, rows)
     found = fit.predict(rows.joints_rad, "SMR1").xyz_mm
     assert np.linalg.norm(found - plain.xyz_mm, axis=1).mean() < 2.0 * NOISE_MM
-    write_urdf(tmp_path / "c.urdf", coupled, rigid_arm(fit), [""], inputs=[])
+    (tmp_path / "c.urdf").write_bytes(urdf_bytes(coupled, rigid_arm(fit), [""]))
     assert "J4 + J3" in (tmp_path / "c.urdf").read_text()

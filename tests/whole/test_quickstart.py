@@ -1,0 +1,88 @@
+"""A robot on the floor with one reflector: the six steps of the page, typed."""
+
+import json
+import re
+import shlex
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hilcell.cell.file import load_cell
+from hilcell.fit.urdf_file import read_robot
+from hilcell.geometry.kinematics import forward
+from tests.whole.bench import HILCELL, hilcell, sim_command
+
+PAGE = (Path(__file__).parents[2] / "docs/quickstart.md").read_text("utf-8")
+STEPS = re.findall(r"^\| \d \| (.*?) \|", PAGE, re.MULTILINE)
+pytestmark = pytest.mark.process
+
+
+def typed(words: str, folder: Path, answers: str = "") -> subprocess.CompletedProcess[str]:
+    """Type a command of the page in a folder."""
+    program, *more = shlex.split(words)
+    assert program == "hilcell"
+    return subprocess.run(
+        [*HILCELL, *more], input=answers, capture_output=True, text=True, timeout=280,
+        check=False, cwd=folder,
+    )  # fmt: skip
+
+
+def test_the_page_is_typed(tmp_path: Path) -> None:
+    """Nothing but the ports differs from the page: several tests may run at once."""
+    (shop,) = re.findall(r"^```\n(hilcell sim .*) &\n```$", PAGE, re.MULTILINE)
+    assert len(STEPS) == 6
+    files, quickstart, prepare = (
+        found[1] for found in (re.match("`(hilcell .*?)`", step) for step in STEPS) if found
+    )
+    with sim_command(*shlex.split(shop)[2:], "--ports", "robot=0,tracker=0,control=0") as shop_cell:
+        assert typed(files, tmp_path).returncode == 0
+        answers = ["HC-7", shop_cell.control, "kuka-c3", "leica-emscon", "", "floor", ""]
+        yes = ["y"] * 60
+        done = typed(quickstart, tmp_path, "\n".join([*answers, *yes, ""]))
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert "IN TOLERANCE" in done.stderr
+    file = tmp_path / shlex.split(quickstart)[2]
+    cell = load_cell(str(file))
+    assert {each.name for each in cell.keep_out} == {"floor", "tracker"}
+    assert [nest.name for nest in cell.layout.floor] == ["N1", "N2", "N3"]
+    assert "<html" in file.with_suffix(".report.html").read_text("utf-8")
+
+    centre = cell.layout.base.matrix() @ cell.grid.centre.matrix()
+    at = [*centre[:3, 3], *centre[:3, 2]]
+    holes = ",".join(f"{value:.4f}" for value in [*at[:3], *(-np.array(at[3:]))])
+    (tmp_path / "holes.csv").write_text(f"name,x_mm,y_mm,z_mm,nx,ny,nz\nA1,{holes}\n")
+    prepared = typed(prepare, tmp_path)
+    assert prepared.returncode == 0, prepared.stderr[-3000:]
+    assert list((tmp_path / shlex.split(prepare)[-1]).glob("*.src"))
+
+    ended = json.loads(typed("hilcell show last --json", tmp_path).stdout)["result"]
+    assert ended["validation"][cell.grid.station]["chosen"]["mean"] < 0.04
+    assert [axis["axis"] for axis in ended["sweeps"]["axes"] if axis["used"]]
+
+    joints_rad = np.radians([cell.robot.safe_deg, cell.robot.home_deg])
+    nominal = forward(replace(cell.robot.arm(), tool=np.eye(4)), joints_rad)
+    identified = read_robot(file.with_suffix(".urdf")).poses(joints_rad)
+    off_mm = np.linalg.norm((identified - nominal)[:, :3, 3], axis=1)
+    assert 0.05 < off_mm.max() < 10.0
+
+
+def test_a_cell_with_a_rail_is_told_to_be_commissioned(tmp_path: Path) -> None:
+    file = tmp_path / "mycell.toml"
+    file.write_text('[rail]\ndriver = "canopen"\n')
+    done = hilcell("quickstart", file)
+    assert done.returncode == 2
+    assert f"rail: this cell has one; use `hilcell commission {file}`" in done.stderr
+
+
+def test_a_built_in_cell_is_refused() -> None:
+    done = hilcell("quickstart", "fixed")
+    assert (done.returncode, "mycell.toml" in done.stderr) == (2, True)
+
+
+def test_input_that_ends_is_told_how_to_go_on(tmp_path: Path) -> None:
+    done = typed("hilcell quickstart mycell.toml", tmp_path, "HC-7\n")
+    assert done.returncode == 2
+    assert "the same command goes on with the first unproved step" in done.stderr
