@@ -3,7 +3,7 @@
 A Markdown table: by robot, tracker and rail the outcome, the mean error
 before and after correction, the floor that the instrument's noise sets, and the engine's processor
 time a point. Drivers are found by their entry points; robots of Universal Robots work in cell
-`lab`, all others in `paper`. An axis E1 belongs to a KUKA.
+`lab`, those of ABB in `abb`, all others in `paper`. An axis E1 belongs to a KUKA.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pathlib import Path
 from benchmarks.words import parser
 from tests.whole.bench import HILCELL
 
-CELL_OF = {"ur-rtde": "lab"}  # others: paper
+CELL_OF = {"abb-egm": "abb", "ur-rtde": "lab"}  # others: paper
 RIDDEN = "kuka-e1"
 COARSE = {  # tolerances and numbers of samples that fit the instrument (docs/hardware.md)
     "leica-geocom": [

@@ -31,7 +31,7 @@ GROUPS = PROJECT["project"]["entry-points"]
     if contract.get("containers") == ["hilcell"]
 )
 ROOMS = {room for layer in LAYERS for room in layer.split(" | ")}
-NO_MODULES = {*GROUPS, "hilcell.src", "hilcell.dat"}
+NO_MODULES = {*GROUPS, "hilcell.src", "hilcell.dat", "hilcell.mod"}
 # Files that a reader of the examples writes.
 EXAMPLES = ("tracker_lines", "floor_noise", "program_poses")
 

@@ -1,1 +1,1 @@
-"""Robots of ABB, and their programs."""
+"""Robots of ABB: their controllers by web services, and their programs."""

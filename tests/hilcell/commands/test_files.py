@@ -18,6 +18,7 @@ from tests.whole.bench import command
 ROOT = Path(__file__).parents[3]
 CELL = (resources.files("hilcell.cells") / "paper.toml").read_text("utf-8")
 SIDES = {
+    "abb-egm": {"hilcell.mod"},
     "canopen": {"drive.eds", "strip.eds"},
     "kuka-c3": {"hilcell.src", "hilcell.dat"},
     "kuka-eki": {

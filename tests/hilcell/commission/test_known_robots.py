@@ -16,7 +16,7 @@ from hilcell.geometry.kinematics import Array, forward
 from hilcell.identity import Identity
 
 CHAINS = tomllib.loads(Path(__file__).with_name("robot_chains.toml").read_text())
-ROBOTS = known_robots("kuka") | known_robots("ur")
+ROBOTS = known_robots("kuka") | known_robots("ur") | known_robots("abb")
 EACH = pytest.mark.parametrize("known", ROBOTS.values(), ids=ROBOTS)
 
 
@@ -103,7 +103,7 @@ def test_a_kuka_reaches_as_far_as_its_name_says(name: str) -> None:
     assert reach_mm == pytest.approx(float(name.partition(" R")[2][:4].split()[0]), abs=12.0)
 
 
-@pytest.mark.parametrize("cell", ["paper", "unknown", "lab"])
+@pytest.mark.parametrize("cell", ["paper", "unknown", "lab", "abb"])
 def test_robots_of_built_in_cells_are_the_same(cell: str) -> None:
     robot = load_cell(cell).robot
     assert ROBOTS[robot.name].robot.joint == robot.joint
@@ -124,6 +124,8 @@ def test_robots_of_built_in_cells_are_the_same(cell: str) -> None:
         ("ur-rtde", "UR10", "version unknown", None),
         ("ur-rtde", "UR10", "PolyScope 10.7.0", None),
         ("ur-rtde", "UR15", "URSoftware 5.20.0", None),
+        ("abb-egm", "IRB 6700-235/2.65 Type A", "RobotWare 6.15", "IRB 6700-235/2.65"),
+        ("abb-egm", "IRB 6700-150/3.20", "RobotWare 6.15", None),
     ],
 )
 def test_a_robot_is_the_one_that_its_controller_states(
@@ -135,9 +137,9 @@ def test_a_robot_is_the_one_that_its_controller_states(
 
 def test_the_page_names_them() -> None:
     page = (Path(__file__).parents[3] / "docs/hardware.md").read_text()
-    listed = "; ".join(", ".join(known_robots(maker)) for maker in ("kuka", "ur"))
+    listed = "; ".join(", ".join(known_robots(maker)) for maker in ("kuka", "ur", "abb"))
     assert f"nominal kinematics of {listed} (" in page
 
 
 def test_a_maker_without_robots_has_none() -> None:
-    assert known_robots("abb-egm") == {}
+    assert known_robots("another-maker") == {}

@@ -41,6 +41,7 @@ SHIPPED: list[tuple[Port, str, str, list[str]]] = [
     ("rail", "canopen", "paper", []),
     ("rail", "kuka-e1", "paper", []),
     ("rail", "none", "fixed", NO_RAIL),
+    ("robot", "abb-egm", "abb", []),
     ("robot", "kuka-c3", "paper", []),
     ("robot", "kuka-eki", "paper", []),
     ("robot", "ur-rtde", "lab", []),
