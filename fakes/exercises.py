@@ -35,6 +35,8 @@ EXERCISES: Sequence[FaultExercise] = (
     _lasting("a reflector is dirty or vibrates", "HC-T15", "tracker.noisy", 1.0),
     _lasting("the weather station is unplugged", "HC-T05", "tracker.no_weather"),
     _lasting("the tracker has not warmed up", "HC-T19", "tracker.not_warmed_up"),
+    _lasting("the tracker is out of adjustment", "HC-V23", "tracker.unadjusted", 50.0),
+    FaultExercise("the tracker is still warming up", "HC-V24", "tracker.warming", 200.0),
     FaultExercise("the tracker's network cable was pulled", "HC-T02", "tracker.eof"),
     FaultExercise("the E-stop was pressed", "HC-B10", "robot.e_stop"),
     FaultExercise("the key switch was turned to T1", "HC-B12", "robot.mode_t1"),

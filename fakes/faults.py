@@ -118,6 +118,8 @@ KNOWN = {
     "tracker.collimation": "its line of sight is off by this (urad), permanent | a measurement",
     "tracker.transit": "its transit axis tilts by this (urad), permanent | a measurement",
     "tracker.index": "its vertical circle is off by this (urad), permanent | a measurement",
+    "tracker.unadjusted": "all three of these are off by this (urad), until healed | a measurement",
+    "tracker.warming": "it turns by this in all as it warms up (urad), from now on | a measurement",
     "tracker.turning": "it turns by this in 1000 measurements (urad), from now on | a measurement",
     "tracker.wrong_offset": "the reflector has another offset (mm), permanent | a measurement",
     "tracker.warmer": "the room is warmer by this (K), permanent | a measurement",

@@ -99,7 +99,7 @@ class WorldFrame:
 
     def perform(self, session: CellSession) -> None:
         session.frame_world()
-        self._check_lengths(session)
+        self.check_lengths(session)
         if self.verifies and not session.cell.layout.by_hand:
             session.frame_world()
         session.reach("frame_world")
@@ -131,7 +131,7 @@ class WorldFrame:
         )
 
     @staticmethod
-    def _check_lengths(session: CellSession) -> None:
+    def check_lengths(session: CellSession) -> None:
         """Measure and judge the certified lengths, once; a wrong one pauses an attended run."""
         layout = session.cell.layout
         if not layout.length or session.log.verdict(LengthsChecked) is not None:
@@ -176,9 +176,8 @@ class TwoFaces:
         if self.left_out(cell) or self._verdict in log.verdicts:
             return
         for nest in self._nests(cell):
-            session.second_face_point(
-                PointId(BACK, number=self._number, nest=nest.name), nest, self.SAMPLES
-            )
+            id = PointId(BACK, number=self._number, nest=nest.name)
+            session.fixed_nest_point(id, nest, self.SAMPLES, back=True)
         found = two_faces(log, self._number)
         if found is None:  # the tracker was moved: no first face at this set-up
             return

@@ -47,9 +47,12 @@ class TrackerTruth:
 
     It applies the faults ``tracker.drift_step``, ``tracker.scale_ppm``, ``tracker.nest_lifted``,
     ``tracker.noisy``, ``tracker.spike``, ``tracker.warmer``, ``tracker.wrong_offset``,
-    ``tracker.wrong_target``, ``tracker.collimation``, ``tracker.transit``, ``tracker.index`` and
-    ``tracker.turning``; the server applies all others.
+    ``tracker.wrong_target``, ``tracker.collimation``, ``tracker.transit``, ``tracker.index``,
+    ``tracker.unadjusted``, ``tracker.warming`` and ``tracker.turning``; the server applies all
+    others.
     """
+
+    WARM_UP = 240  # measurements, a time constant of 20 min
 
     MEASUREMENT_S = 5.0
     URAD = 1e-6
@@ -80,6 +83,8 @@ class TrackerTruth:
         axes = KeyedNoise(seed).generator("tracker's axes")
         self._axes_rad = self._sizes.axes_urad * self.URAD * axes.standard_normal(3)
         self._turning_rad, self._turning_since = 0.0, 0  # of 1000 measurements; their number
+        self._warming_rad, self._warming_since = 0.0, 0
+        self._unadjusted_rad = 0.0
         self._lifted_mm: dict[str, float] = {}
         self._offset_mm = self._warmer_k = 0.0
 
@@ -126,7 +131,7 @@ class TrackerTruth:
             self.measured += not back
             if back:
                 faults[row] = _MeasurementFaults(self._offset_mm, None, 0.0)
-            elif self._faults.any_armed or self._offset_mm:
+            elif self._faults.any_armed or self._offset_mm or self._unadjusted_rad:
                 faults[row] = self._apply_faults(name)
             if name in self._lifted_mm:
                 at_mm = at_mm + self._lifted_mm[name] / math.sqrt(3.0)
@@ -203,6 +208,9 @@ class TrackerTruth:
         self._offset_mm += amount("tracker.wrong_offset")
         for axis, fault in enumerate(("tracker.collimation", "tracker.transit", "tracker.index")):
             self._axes_rad[axis] += self.URAD * amount(fault)
+        self._unadjusted_rad = self.URAD * amount("tracker.unadjusted")
+        if (warming := number("tracker.warming")) is not None:
+            self._warming_rad, self._warming_since = self.URAD * warming, self.measured
         if (turning := number("tracker.turning")) is not None:
             self._turning_rad, self._turning_since = self.URAD * turning, self.measured
         return _MeasurementFaults(self._offset_mm, noisy_mm, amount("tracker.spike"))
@@ -218,8 +226,11 @@ class TrackerTruth:
         around[:, 0], around[:, 1] = -y, x
         down[:, 0], down[:, 1], down[:, 2] = x * z, y * z, -(flat_mm**2)
         down /= range_mm[:, None]
-        collimation, transit, index = -self._axes_rad if back else self._axes_rad
+        axes_rad = self._axes_rad + self._unadjusted_rad
+        collimation, transit, index = -axes_rad if back else axes_rad
+        warm = 1.0 - math.exp((self._warming_since - self.measured) / self.WARM_UP)
         drift_rad = self._turning_rad * (self.measured - self._turning_since) / 1000.0
+        drift_rad += self._warming_rad * warm
         across = (collimation * range_mm + transit * z) / flat_mm + drift_rad
         sighted_mm: Array = xyz_mm + across[:, None] * around
         sighted_mm += (index * range_mm / flat_mm)[:, None] * down

@@ -21,8 +21,9 @@ import numpy as np
 from hilcell.calibration.measurement_budget import systematic_mm2
 from hilcell.cell.file import Cell
 from hilcell.cell.layout import CERTIFIED_C, KnownLength
+from hilcell.cell.uncertainty import COVERAGE_FACTOR
 from hilcell.geometry.frames import apply, inverse
-from hilcell.geometry.statistics import coverage_factor, rectangular_variance
+from hilcell.geometry.statistics import coverage_factor, lengths_mm, rectangular_variance
 from hilcell.journal.log import (
     VERIFICATION_KINDS,
     Log,
@@ -137,7 +138,10 @@ def two_faces(log: Log, number: int) -> BothFaces | None:
         stated.tracker_limit_mm + 1e-6 * stated.tracker_limit_um_m * range_mm
     ) + sigmas * np.sqrt(np.trace(noise_mm2, axis1=1, axis2=2))
     return judged_faces(
-        [point.id.nest for point in fronts], _own_mm(log, fronts), _own_mm(log, backs), limits_mm
+        [point.id.nest for point in fronts],
+        positions_at_set_up(log, fronts),
+        positions_at_set_up(log, backs),
+        limits_mm,
     )
 
 
@@ -145,16 +149,10 @@ def judged_faces(
     names: Sequence[str], front_mm: Array, back_mm: Array, limits_mm: Array
 ) -> BothFaces:
     """Judge readings (N, 3) in both faces, in the tracker's own frame."""
-    x, y, z = front_mm.T
-    flat_mm, range_mm = np.hypot(x, y), np.linalg.norm(front_mm, axis=1)
-    around = np.stack([-y, x, np.zeros(len(x))], axis=1) / flat_mm[:, None]
-    down = np.stack([x * z, y * z, -(flat_mm**2)], axis=1) / (flat_mm * range_mm)[:, None]
-    half_mm = (front_mm - back_mm) / 2.0
-    seen = np.stack([(half_mm * each).sum(axis=1) for each in (around, down)], axis=1)
-    columns = np.zeros((len(x), 2, 3))
-    columns[:, 0, 0], columns[:, 0, 1], columns[:, 1, 2] = range_mm, z, range_mm
-    weighted = columns / range_mm[:, None, None]  # noise across the beam grows with the range
-    rows = weighted.reshape(-1, 3)
+    seen, range_mm = half_differences_mm(front_mm, back_mm), lengths_mm(front_mm)
+    rows = axis_levers(front_mm).reshape(
+        -1, 3
+    )  # angles: noise across the beam grows with the range
     off = (seen / range_mm[:, None]).reshape(-1)
     sizes = rows.T @ off / np.maximum(np.square(rows).sum(axis=0), 1e-12)
     left = np.square(off[:, None] - rows * sizes).sum(axis=0)
@@ -162,6 +160,33 @@ def judged_faces(
     rows_found = zip(names, seen.tolist(), limits_mm.tolist(), strict=True)
     nests = [Faces(name, across, below, limit) for name, (across, below), limit in rows_found]
     return BothFaces(nests, URAD * float(sizes[axis]), AXES[axis])
+
+
+def beam_axes(at_mm: Array) -> Array:
+    """Return unit vectors (N, 3, 3) at places (N, 3), tracker's frame: along the beam, sideways as
+    the horizontal angle grows, downwards.
+    """
+    x, y, z = at_mm.T
+    flat_mm, range_mm = np.hypot(x, y), lengths_mm(at_mm)
+    around = np.stack([-y, x, np.zeros(len(x))], axis=1) / flat_mm[:, None]
+    down = np.stack([x * z, y * z, -(flat_mm**2)], axis=1) / (flat_mm * range_mm)[:, None]
+    return np.stack([at_mm / range_mm[:, None], around, down], axis=1)
+
+
+def half_differences_mm(front_mm: Array, back_mm: Array) -> Array:
+    """Return half of first less second face (N, 2) at (N, 3) each: sideways and downwards."""
+    half_mm: Array = np.einsum("nij,nj->ni", beam_axes(front_mm), (front_mm - back_mm) / 2.0)
+    return half_mm[:, 1:]
+
+
+def axis_levers(front_mm: Array) -> Array:
+    """Return half the differences (N, 2, 3) of both faces, as angles at places (N, 3), by unit
+    errors of collimation, transit tilt and index.
+    """
+    levers = np.zeros((len(front_mm), 2, 3))
+    levers[:, 0, 0], levers[:, 0, 1] = 1.0, front_mm[:, 2] / lengths_mm(front_mm)
+    levers[:, 1, 2] = 1.0
+    return levers
 
 
 def axis_off(log: Log) -> Suspicion | None:
@@ -180,7 +205,7 @@ def _front(log: Log, back: Point) -> Point | None:
     return max(before, key=log.recorded, default=None)
 
 
-def _own_mm(log: Log, points: Sequence[Point]) -> Array:
+def positions_at_set_up(log: Log, points: Sequence[Point]) -> Array:
     """Positions (N, 3) as measured from the tracker's own set-up."""
     first = log.matrix("world")
     own = [inverse(log.matrix(world_key(point.set_up))) @ first for point in points]
@@ -198,22 +223,24 @@ def compared_reflectors(log: Log) -> list[MeasuredReflector]:
     if len(points) < fewest_reflectors:
         return []
     noise = run_noise(log)
-    noise_mm2 = noise_at(noise, points)
-    sigmas = coverage_factor(SIGMAS, noise.freedom)
-    limits_mm = 2.0 * log.cell.uncertainty.smr_centring_limit_mm + sigmas * np.sqrt(
-        np.trace(noise_mm2, axis1=1, axis2=2) * (1.0 + 1.0 / len(points))
-    )
-    return compared_positions([point.id.nest for point in points], positions_mm(points), limits_mm)
+    u_mm = np.sqrt(np.trace(noise_at(noise, points), axis1=1, axis2=2) * (1.0 + 1.0 / len(points)))
+    sigmas, k = (coverage_factor(each, noise.freedom) for each in (SIGMAS, COVERAGE_FACTOR))
+    limits_mm = 2.0 * log.cell.uncertainty.smr_centring_limit_mm + sigmas * u_mm
+    names = [point.id.nest for point in points]
+    return compared_positions(names, positions_mm(points), limits_mm, k * u_mm)
 
 
-def compared_positions(names: list[str], at_mm: Array, limits_mm: Array) -> list[MeasuredReflector]:
+def compared_positions(
+    names: list[str], at_mm: Array, limits_mm: Array, U_mm: Array
+) -> list[MeasuredReflector]:
     """Each position (N, 3), tracker's frame, against the median of all others."""
     found = []
-    for row, (name, limit_mm) in enumerate(zip(names, limits_mm.tolist(), strict=True)):
+    rows = zip(names, limits_mm.tolist(), U_mm.tolist(), strict=True)
+    for row, (name, limit_mm, expanded_mm) in enumerate(rows):
         others_mm = np.median(np.delete(at_mm, row, axis=0), axis=0)
         beam = others_mm / np.linalg.norm(others_mm)
         off_mm = at_mm[row] - others_mm
         along_mm = float(off_mm @ beam)
         across_mm = float(np.linalg.norm(off_mm - along_mm * beam))
-        found.append(MeasuredReflector(name, along_mm, across_mm, limit_mm))
+        found.append(MeasuredReflector(name, along_mm, across_mm, limit_mm, expanded_mm))
     return found

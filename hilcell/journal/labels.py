@@ -96,6 +96,9 @@ def step_label(name: str, *, has_rail: bool) -> str:
         "closing": "Closing visits",
         "two-face": "Tracker in both faces",
         "reflectors": "Reflectors compared",
+        "nests": "Nests and certified lengths",
+        "axes": "Axes of the tracker",
+        "drift": "Drift of the tracker",
         "two-face-closing": "Tracker in both faces, at the end",
         "iso9283": "ISO 9283 test",
     } | ({} if has_rail else without_rail)

@@ -99,4 +99,6 @@ class Figure(NamedTuple):
 
     @property
     def why(self) -> str:
+        if self.limit is None:
+            return self.measured
         return f"{self.measured} {self.outcome.relation} {self.limit:g} {self.unit}".rstrip()

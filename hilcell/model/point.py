@@ -15,14 +15,16 @@ if TYPE_CHECKING:
 
 HELD, LENGTH = "held", "length"  # kinds of points that prove a hold, and the tracker's scale
 BACK = "back"  # kind of a nest that was seen in the tracker's second face
+FRONT = "front"  # and of the same in the first, just before
+STEADY = "steady"  # kind of a nest that is measured time and again: the tracker's drift
 REFLECTOR = "reflector"  # kind of a reflector that was carried to the first floor nest
-CHECKS = (HELD, LENGTH, BACK, REFLECTOR)  # of which nothing is built
+CHECKS = (HELD, LENGTH, BACK, FRONT, STEADY, REFLECTOR)  # of which nothing is built
 SEAT = "seat"  # begins the last part of a key of another reflector than the tool point
 SIGNS = {1: "+", -1: "-"}  # of an approach's side, in a key
 CONTROL = "control"  # group of points that no plan counts
 _GROUPS = {  # not named by their fields
     "slide": "frames", "three": "three_points", "base": "base", HELD: CONTROL, LENGTH: CONTROL,
-    BACK: CONTROL, REFLECTOR: CONTROL, "revisit": "revisit",
+    BACK: CONTROL, FRONT: CONTROL, STEADY: CONTROL, REFLECTOR: CONTROL, "revisit": "revisit",
 }  # fmt: skip
 
 
@@ -69,6 +71,8 @@ KINDS = {
     "control": Kind("check of floor nest", "check", "checks of the floor nests"),
     "length": Kind("scale: nest", "scale", "nests of certified lengths"),
     "back": Kind("second face: nest", "back", "nests in the second face"),
+    "front": Kind("first face: nest", "front", "nests in the first face"),
+    "steady": Kind("drift: nest", "drift", "nest of the drift"),
     "reflector": Kind("compared: reflector of", "compare", "reflectors in the same nest"),
     "held": Kind("proof of the hold: nest", "held", "proofs of the hold"),
     "slide": Kind("slide nest", "nest", "slide nests"),
@@ -258,7 +262,8 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
 
     ``xyz_mm``: mean of ``samples``, in the frame of the tracker's first set-up; ``nominal_mm``:
     nominal target in {W}; ``nominal_deg``: its angles A, B, C, where orientation was measured;
-    joints in deg. The controller's pose is in its record.
+    joints in deg; ``elapsed_s``: the cell's time since a series began. The controller's pose is in
+    its record.
     """
 
     id: PointId
@@ -283,6 +288,7 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
     rail_mm: float | None = None
     strip_mm: float | None = None
     readings: Readings | None = None
+    elapsed_s: float | None = None
     set_up: int = 0  # at which it was measured
 
     @property

@@ -580,12 +580,15 @@ class FacesCompared(Verdict, frozen=True, kw_only=True):
 
 
 class MeasuredReflector(msgspec.Struct, frozen=True):
-    """A reflector's distance from the others' median, along and across the beam, and its limit."""
+    """A reflector's distance from the others' median, along and across the beam, its limit, and its
+    U (k = 2) by the readings.
+    """
 
     place: str
     along_mm: float
     across_mm: float
     limit_mm: float
+    U_mm: float
 
     @property
     def holds(self) -> bool:
@@ -608,6 +611,84 @@ class ReflectorsCompared(Verdict, frozen=True, kw_only=True):
 
     def _text(self) -> str:
         return "; ".join(self.wrong) or "none differs from the others"
+
+
+class FaceError(msgspec.Struct, frozen=True):
+    """The two-face location error of a nest, halved: sideways and downwards, what the axes' errors
+    leave of it, its U (k = 2) in each direction, and its limit. ``height_deg``: of the beam.
+    """
+
+    nest: str
+    range_mm: float
+    height_deg: float
+    across_mm: float
+    down_mm: float
+    left_across_mm: float
+    left_down_mm: float
+    U_mm: float
+    limit_mm: float
+
+    @property
+    def figure(self) -> Figure:
+        off_mm = math.hypot(self.across_mm, self.down_mm)
+        return Figure(f"both faces at {self.nest}", off_mm, "mm", self.limit_mm, self.U_mm)
+
+
+class AxesJudged(Verdict, frozen=True, kw_only=True):
+    """Errors of the tracker's axes by both faces, with U (k = 2), and the two-face error of each
+    nest. ``transit_urad`` is None where the nests do not separate it from the collimation.
+    """
+
+    keys: ClassVar[tuple[str, ...]] = ("tracker-axes",)
+    title: ClassVar[str] = "axes of the tracker"
+    nests: list[FaceError]
+    collimation_urad: float
+    collimation_U_urad: float
+    transit_urad: float | None
+    transit_U_urad: float | None
+    index_urad: float
+    index_U_urad: float
+
+    @property
+    def axes(self) -> Sequence[Figure]:
+        form = ".1f"
+        return (
+            Figure("collimation", self.collimation_urad, "µrad", U=self.collimation_U_urad,
+                   form=form),
+            Figure("transit tilt", self.transit_urad, "µrad", U=self.transit_U_urad, form=form),
+            Figure("vertical index", self.index_urad, "µrad", U=self.index_U_urad, form=form),
+        )  # fmt: skip
+
+    @property
+    def figures(self) -> Sequence[Figure]:
+        return [*(each.figure for each in self.nests), *self.axes]
+
+
+class DriftJudged(Verdict, frozen=True, kw_only=True):
+    """The trend of a nest over ``minutes``, along the beam, sideways, downwards, with U (k = 2),
+    the largest distance of two of its positions, and the noise (1 sigma) of one coordinate of one.
+    """
+
+    keys: ClassVar[tuple[str, ...]] = ("tracker-drift",)
+    title: ClassVar[str] = "drift of the tracker"
+    nest: str
+    minutes: float
+    points: int
+    trend_mm: tuple[float, float, float]
+    trend_U_mm: float
+    range_mm: float
+    noise_mm: float
+    limit_mm: float
+
+    @property
+    def figures(self) -> Sequence[Figure]:
+        trend_mm = math.hypot(*self.trend_mm)
+        where = f"of {self.nest} in {self.minutes:g} min"
+        return (
+            Figure(f"trend {where}", trend_mm, "mm", self.limit_mm, self.trend_U_mm),
+            Figure(f"range {where}", self.range_mm),
+            Figure(f"noise of a coordinate of {self.nest}", self.noise_mm),
+        )
 
 
 # -- the rail and the drivers ----------------------------------------------------------------------

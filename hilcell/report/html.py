@@ -17,6 +17,7 @@ from hilcell.present.table import Table
 from hilcell.report.budgets import budget_table, mean_table, target_budget
 from hilcell.report.drawings.error_plots import ErrorPlots, strip, variance_bar
 from hilcell.report.drawings.figures import POSE_TEST, drawings
+from hilcell.report.drawings.tracker_plots import both_faces, drift
 from hilcell.report.drawings.views import plan_view, side_view
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import Certificate, FirstPage
@@ -55,9 +56,9 @@ def glossary_terms(html: str, has_rail: bool = True) -> list[tuple[str, str]]:
 
 PARTS = {
     "certificate": "first page", "glance": "At a glance", "poses": "Poses",
-    "stations": "Stations, worst targets, drift", "uncertainty": "Uncertainty and method",
-    "curves": "Transmission curves", "paper": "Figures of the paper", "record": "Record",
-    "items": "Where each required item is",
+    "tracker": "Tracker", "stations": "Stations, worst targets, drift",
+    "uncertainty": "Uncertainty and method", "curves": "Transmission curves",
+    "paper": "Figures of the paper", "record": "Record", "items": "Where each required item is",
 }  # fmt: skip
 
 
@@ -115,6 +116,8 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
         variance=variance_bar(targets, simulated),
         nests=nests,
         air=air,
+        faces=both_faces(log),
+        tracker_drift=drift(log),
         pose_drawings=[each for each in drawn if each.name in POSE_TEST],
         drawings=[each for each in drawn if each.name not in POSE_TEST],
         station_tables=[*judged_tables, *frames, worst_ones],

@@ -234,18 +234,21 @@ class Meter(Mover):
     # -- floor nests --------------------------------------------------------------------------
 
     def floor_nest_point(self, id: PointId, nest: Nest) -> Point:
+        samples = self.cell.verification_samples if id.kind == "control" else self.cell.nest_samples
+        return self.fixed_nest_point(id, nest, samples)
+
+    def fixed_nest_point(
+        self, id: PointId, nest: Nest, samples: int, *, back: bool = False, **facts: float
+    ) -> Point:
+        """Measure a nest on floor or bars, ``back``: in the second face, once in a run's life.
+
+        ``facts`` are further fields of the point.
+        """
         if known := self.log.find(id):
             return known
         self.checkpoint()
         self.request_reflector(nest.name, nest.xyz_mm)
-        samples = self.cell.verification_samples if id.kind == "control" else self.cell.nest_samples
-        return self._measure_floor_nest(id, nest, samples)
-
-    def second_face_point(self, id: PointId, nest: Nest, samples: int) -> Point:
-        if known := self.log.find(id):
-            return known
-        self.checkpoint()
-        return self._measure_floor_nest(id, nest, samples, back=True)
+        return self._measure_floor_nest(id, nest, samples, back=back, **facts)
 
     def swapped_point(self, id: PointId, place: str, nest: Nest) -> Point:
         """Measure the reflector of ``place`` in a floor nest after the operator placed it there."""
@@ -260,12 +263,12 @@ class Meter(Mover):
         self._swap(nest.name, nest)
 
     def _measure_floor_nest(
-        self, id: PointId, nest: Nest, samples: int, *, back: bool = False
+        self, id: PointId, nest: Nest, samples: int, *, back: bool = False, **facts: float
     ) -> Point:
         while True:
             near_mm = self._nest_near(nest)
             if reading := self.measure(id.key, nest.name, near_mm, samples, back=back):
-                return self.record_point(id, "", reading)
+                return self.record_point(id, "", reading, None, **facts)
 
     # -- places that are not known yet --------------------------------------------------------
 

@@ -13,11 +13,14 @@ from msgspec.structs import replace
 from hilcell.model.frame import Frame, MeasuredBase, MeasuredStation, TouchedBase, frame_type
 from hilcell.model.outcome import Outcome
 from hilcell.model.verdicts import (
+    AxesJudged,
     Backlash,
     Cause,
     ChangedSince,
     CurvesUsed,
+    DriftJudged,
     DriverConforms,
+    FaceError,
     Faces,
     FacesCompared,
     Fitted,
@@ -101,7 +104,28 @@ FACES = FacesCompared(
     holds=True, nests=[Faces("N1", 0.01, -0.02, 0.1)], summary="N1 differs most", wrong=[]
 )
 REFLECTORS = ReflectorsCompared(
-    holds=True, reflectors=[MeasuredReflector("cube", 0.01, 0.02, 0.1)], wrong=[]
+    holds=True, reflectors=[MeasuredReflector("cube", 0.01, 0.02, 0.1, 0.01)], wrong=[]
+)
+TRACKER_AXES = AxesJudged(
+    holds=False,
+    nests=[FaceError("N1", 3000.0, -20.0, 0.05, -0.02, 0.001, 0.002, 0.004, 0.015)],
+    collimation_urad=12.0,
+    collimation_U_urad=2.0,
+    transit_urad=None,
+    transit_U_urad=None,
+    index_urad=-3.0,
+    index_U_urad=1.0,
+)
+TRACKER_DRIFT = DriftJudged(
+    holds=True,
+    nest="N1",
+    minutes=10.0,
+    points=21,
+    trend_mm=(0.001, 0.004, -0.002),
+    trend_U_mm=0.006,
+    range_mm=0.012,
+    noise_mm=0.003,
+    limit_mm=0.02,
 )
 ORIENTED = Oriented(holds=True, before_mean_deg=0.05, mean_deg=0.01, reflectors_moved_mm=0.003)
 PROVED = Proved(
@@ -141,6 +165,8 @@ VERDICTS: dict[str, Verdict] = {
     "two-face": FACES,
     "two-face.closing": FACES,
     "reflectors": REFLECTORS,
+    "tracker-axes": TRACKER_AXES,
+    "tracker-drift": TRACKER_DRIFT,
     "backlash": BACKLASH,
     "station-repeatability": STRIP,
     "conformance lines": CONFORMS,

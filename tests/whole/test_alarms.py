@@ -226,6 +226,7 @@ def test_no_fault_is_left_out() -> None:
     # Of streams, of a slide in paced time, and those that no device sees: they have other tests.
     others = {"tracker.stream_break", "robot.slide_fast", "robot.mount_slip", "tracker.scale_ppm"}
     others |= {"robot.lost_motion", "robot.growing", "robot.brake_slips", "tracker.turning"}
+    others |= {"tracker.unadjusted", "tracker.warming"}
     others |= {"tracker.collimation", "tracker.transit", "tracker.index", "rail.unplugged"}
     # Their alarm depends on the moment: `campaigns.faults` strikes them in each phase.
     timely = {"rail.pushed", "rail.reference_lost"}

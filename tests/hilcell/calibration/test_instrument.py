@@ -165,7 +165,7 @@ def test_a_prism_of_another_length_is_named(prism_mm: float) -> None:
     at_mm[5] += prism_mm * BEAM
     wrong = [
         each
-        for each in compared_positions(NAMES, at_mm, np.full(6, REFLECTOR_LIMIT_MM))
+        for each in compared_positions(NAMES, at_mm, np.full(6, REFLECTOR_LIMIT_MM), np.zeros(6))
         if not each.holds
     ]
     assert [each.place for each in wrong] == ["flange"]
@@ -175,12 +175,12 @@ def test_a_prism_of_another_length_is_named(prism_mm: float) -> None:
 
 def test_reflectors_alike_hold() -> None:
     for seed in range(50):
-        found = compared_positions(NAMES, seen(seed), np.full(6, REFLECTOR_LIMIT_MM))
+        found = compared_positions(NAMES, seen(seed), np.full(6, REFLECTOR_LIMIT_MM), np.zeros(6))
         assert all(each.holds for each in found)
 
 
 def test_a_place_that_is_no_number_holds_nothing() -> None:
     at_mm = seen()
     at_mm[2] = np.nan
-    found = compared_positions(NAMES, at_mm, np.full(6, REFLECTOR_LIMIT_MM))
+    found = compared_positions(NAMES, at_mm, np.full(6, REFLECTOR_LIMIT_MM), np.zeros(6))
     assert not found[2].holds
