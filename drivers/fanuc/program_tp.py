@@ -54,7 +54,10 @@ from hilcell.sanitize import clean
 SUFFIX = ".ls"
 USUAL_TOOL = 1  # of the reflector, unless robot.options has another
 POSE = ("X", "Y", "Z", "R", "P", "W")  # in the order of targets: x, y, z, a, b, c
-UNITS = dict(zip(POSE, ("MM", "MM", "MM", "DEG", "DEG", "DEG"), strict=True))
+LENGTHS, ANGLES = ("mm",), ("deg",)
+UNITS = dict(zip(POSE, (*[LENGTHS] * 3, *[ANGLES] * 3), strict=True))
+EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")
+JOINTS = {f"J{n}" for n in range(1, 10)}
 REMARK = 32  # characters that a remark has at most
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
 
@@ -167,6 +170,7 @@ _POSITION = re.compile(
 )
 _GROUP = re.compile(r"GP(\d+)\s*:", re.ASCII)
 _FIELD = re.compile(r"(\w+)\s*[:=]\s*('[^'\n]*'|[^\s,'][^\n,']*?)(?=\s*(?:,|\n|\Z))", re.ASCII)
+_VALUE = re.compile(rf"({NUMBER})\s*(mm|deg)", re.ASCII | re.IGNORECASE)
 _CONFIG = re.compile(
     r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'", re.ASCII
 )
@@ -208,9 +212,9 @@ class Target:
         numbers = {key: cls._value(name, key, fields[key], UNITS[key])[0] for key in POSE}
         external = {
             key: (each.value, unit)
-            for key in fields
-            if re.fullmatch(r"E\d", key)
-            for each, unit in [cls._value(name, key, fields[key], "MM|DEG")]
+            for key in EXTERNAL
+            if key in fields
+            for each, unit in [cls._value(name, key, fields[key], LENGTHS + ANGLES)]
         }
         known = {*POSE, "UF", "UT", "CONFIG", *external}
         if other := [each for each in fields if each not in known]:
@@ -231,11 +235,13 @@ class Target:
         return int(text)
 
     @staticmethod
-    def _value(name: str, key: str, stated: Number, unit: str) -> tuple[Number, str]:
-        match = re.fullmatch(rf"({NUMBER})\s*({unit})", stated.text, re.ASCII | re.IGNORECASE)
-        if match is None or not math.isfinite(float(match[1])):
-            raise TpError(f"{name}: {key} = {clean(stated.text)}: expected a number of {unit}")
-        return Number(match[1], stated.start, stated.start + len(match[1])), match[2].upper()
+    def _value(name: str, key: str, stated: Number, units: tuple[str, ...]) -> tuple[Number, str]:
+        match = _VALUE.fullmatch(stated.text)
+        if match is None or match[2].lower() not in units or not math.isfinite(float(match[1])):
+            expected = f"expected a number of {' or '.join(units)}"
+            raise TpError(f"{name}: {key} = {clean(stated.text)}: {expected}")
+        number = Number(match[1], stated.start, stated.start + len(match[1]))
+        return number, match[2].lower()
 
 
 def posture(arm: Arm, status: int) -> str:
@@ -290,7 +296,7 @@ class Program(programs.Program):
     @property
     def slide(self) -> tuple[str, float] | None:
         value, unit = self.targets[0].external.get("E1", (0.0, ""))
-        return (self.targets[0].where, value) if unit == "MM" else None
+        return (self.targets[0].where, value) if unit == "mm" else None
 
     def values(self) -> Array:
         """Return the targets (N, 6): X, Y, Z in mm, R, P, W in deg, as the program states them."""
@@ -385,14 +391,14 @@ _MOVE = re.compile(
     r"\s+(FINE|CNT\s*(?:\d+|A?R\[\d+\]))(?:\s+(.*))?",
     re.ASCII,
 )
-_PORT = r"(?:DO|RO|GO|AO|SO|UO|WO|F|M)\[\d+\]"
+_PORT = r"(?:DO|RO|GO|AO|SO|UO|WO|F|M)\[.*?\]"
 _OPTION = re.compile(  # of a motion: its acceleration, its path, and what is switched on its way
     r"ACC\s*(?:\d+|A?R\[\d+\])|PTH|WJNT|MROT|BREAK|(?:IND\.)?EV\s*\d+%|(?:RT|AP)_LD\s*\d+"
     rf"|(?:T[AB]|TIME (?:BEFORE|AFTER))\s*{NUMBER}\s*SEC\s*,\s*"
     rf"(?:{_PORT}\s*=\s*(?:\([^()]*\)|[^\s()]+)|CALL (?P<called>\w+)(?:\([^()]*\))?)|\s+",
     re.ASCII,
 )
-_FRAME = re.compile(r"(UFRAME|UTOOL)_NUM\s*=\s*(.*)", re.ASCII)
+_FRAME = re.compile(r"(UFRAME|UTOOL)_NUM\s*(?:\[GP1\])?\s*=\s*(.*)", re.ASCII)
 _CALL = re.compile(r"(?:CALL|RUN)\s+([^\s(]+)\s*(?:\(.*\))?", re.ASCII)
 _BRANCH = re.compile(r"IF\b|SELECT\b|=|ELSE\s*,", re.ASCII)
 _HARMLESS = re.compile(
@@ -546,7 +552,7 @@ class _Reader:
             raise TpError(f"{name} is no position of /POS")
         if position.index not in self._targets:
             fields = position.fields()
-            if any(re.fullmatch(r"J\d", each) for each in fields):
+            if JOINTS & fields.keys():
                 self._home(kind, statement.line, name, "is given as joint angles")
                 return
             self._targets[position.index] = Target.of(position, fields)
@@ -635,7 +641,7 @@ class _Reader:
 
 
 def _axes(target: Target) -> str:
-    found = (f"{name} {value:g} {unit.lower()}" for name, (value, unit) in target.external.items())
+    found = (f"{name} {value:g} {unit}" for name, (value, unit) in target.external.items())
     return ", ".join(found) or "no external axis"
 
 

@@ -171,7 +171,7 @@ def test_refused_by_line(statement: str, reason: str) -> None:
         (position(3).replace("\tX", "\tZ"), "P[3] states Z twice"),
         (position(3).replace("1200.000  mm", "1200.000 deg"), "Z = 1200.000 deg: expected"),
         (position(3).replace("1200.000  mm", "1200.000"), "Z = 1200.000: expected"),
-        (position(3).replace("1200.000", "1E999"), "expected a number of MM"),
+        (position(3).replace("1200.000", "1E999"), "expected a number of mm"),
         (position(3, uf="R"), "P[3]: UF R is no number"),
         (position(3, more=",\n\tV = 1.0 mm"), "P[3] states V, which"),
         (position(3, more="\n\t!"), "P[3]: ! is not understood"),
