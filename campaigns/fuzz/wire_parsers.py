@@ -1,4 +1,4 @@
-"""Parsers of the second makes' wires, each behind its own driver's wire, and of URScript programs.
+"""Parsers of the second makes' wires, each behind its own driver's wire, of URScript and of TP.
 
 An input arrives on the wire in pieces, of the size of its first byte; then the wire dies.
 """
@@ -12,6 +12,7 @@ from contextlib import suppress
 from typing import Any, cast
 
 from drivers.device_errors import ROBOT, ProtocolError
+from drivers.fanuc import program_tp
 from drivers.kuka import robot_eki as eki
 from drivers.kuka.robot_eki import EkiChannel
 from drivers.leica.tracker_geocom import LeicaGeocomTracker, Rpc
@@ -26,6 +27,7 @@ from fakes.kuka.eki_server import BOMB
 from hilcell.clock import WallClock
 from hilcell.errors import HilcellError
 from tests.clocks import DrivenClock
+from tests.drivers.fanuc.program_tp.samples import LISTING
 from tests.drivers.universal_robots.program_urscript.samples import SCRIPT
 
 ASKED = -7
@@ -205,6 +207,17 @@ def script_samples() -> Iterable[bytes]:
     yield b"def d():\n  movej(p[1.0, 0.0, 0.5, 0.0, 1.0, 0.0], a=1.4)\nend\n"
 
 
+def listing(data: bytes) -> None:
+    """A TP listing, and one with its positions moved."""
+    program = program_tp.read_program("p.ls", data.decode("latin-1"))
+    program.with_positions(program.values() + 1.0, "corrected")
+
+
+def listing_samples() -> Iterable[bytes]:
+    yield LISTING.encode("latin-1")
+    yield LISTING.replace("\n", "\r\n").encode("latin-1")
+
+
 # Name, how bytes are handed over, what it may raise, samples.
 WIRE_PARSERS = (
     ("eki", documents, (HilcellError,), document_samples),
@@ -213,4 +226,5 @@ WIRE_PARSERS = (
     ("t2sa", bridge_replies, (HilcellError,), bridge_samples),
     ("strip", strip_answers, (HilcellError,), strip_samples),
     ("urscript", script, (HilcellError,), script_samples),
+    ("tp-listing", listing, (HilcellError,), listing_samples),
 )

@@ -455,6 +455,8 @@ class _Reader:
         self._check_group()
         for statement in self._statements:
             try:
+                if ";" in statement.source:
+                    raise TpError("expected one statement a line")
                 if statement.remark is None:
                     self._take(statement)
             except TpError as error:

@@ -31,7 +31,7 @@ CONTROL_CODE\t= 00000000 00000000;
 AUTO_SINGULARITY_HEADER;
   ENABLE_SINGULARITY_AVOIDANCE   : FALSE;
 /MN
-   1:  !P[1] = 1.0 mm; it stays ;
+   1:  !P[1] = 1.0 mm, it stays ;
    2:  --eg: a remark
     :  of two lines: L P[9] ;
    3:  UFRAME_NUM=1 ;
@@ -46,7 +46,7 @@ AUTO_SINGULARITY_HEADER;
   11:  IF DI[52:done, so far]=OFF,CALL COUNT(1,'P[3]') ;
   12:  IF (R[1:n]<10),JMP LBL[1] ;
   13:  R[1:n]=R[1:n]+1    ;
-  14:  MESSAGE[L P[3] isn't; done] ;
+  14:  MESSAGE[L P[3] isn't, done] ;
   15:  ;
   16:L P[3] max_speed FINE    ;
   17:J P[1:home] 50% FINE    ;

@@ -143,6 +143,8 @@ def test_all_but_the_numbers_of_targets_is_unchanged(places_mm: list[float]) -> 
         ("  UFRAME_NUM=R[1]", "UFRAME_NUM is not known before"),
         ("  UTOOL_NUM=AR[1]", "UTOOL_NUM is not known before"),
         ("  IF DI[1]=ON,UTOOL_NUM=R[1]", "UTOOL_NUM is not known before"),
+        ("  !a remark ; L P[3] 9mm/sec FINE", "one statement a line"),
+        ("L P[2] 9mm/sec FINE ; J PR[1] 9% FINE", "one statement a line"),
         ("  P[2]=P[3]", "besides the motions"),
         ("  PR[1]=P[2]", "besides the motions"),
         ("  P[2,1]=(100)", "besides the motions"),
