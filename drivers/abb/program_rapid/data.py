@@ -10,9 +10,11 @@ RAPID Instructions, Functions and Data types (robtarget, confdata, wobjdata, too
 
 from __future__ import annotations
 
+import math
 import re
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence, Set
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import NamedTuple
@@ -21,7 +23,6 @@ from drivers.program_text import MARK, Number
 from hilcell.ports import HilcellError
 
 NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-_SIGNED = re.compile(rf"[+-]?{NUMBER}", re.ASCII)
 _TOKEN = re.compile(
     rf"""(?P<skip>\A{MARK}|\s+|![^\n]*|%%%[^%]*%%%)
       | (?P<row>\[[\d.eE+\-,\s]*\])
@@ -206,19 +207,27 @@ def structure(tokens: Sequence[Token]) -> object:
     return [structure(part) for part in split(tokens[1:-1], ",")]
 
 
-def row(value: object, count: int, what: str) -> list[Number]:
+def floats(value: object, count: int, what: str) -> list[float]:
+    """Return the values of a row; raises `RapidError`."""
+    found = list[float]()
+    with suppress(ValueError):
+        if isinstance(value, Token):
+            found = [float(each) for each in value.text[1:-1].split(",")]
+    if len(found) != count or not all(map(math.isfinite, found)):
+        raise RapidError(f"{what} is not {count} numbers")
+    return found
+
+
+def row(value: Token, count: int, what: str) -> list[Number]:
     """Return the numbers of a row; raises `RapidError`."""
-    if isinstance(value, Token):
-        at, found = value.start + 1, list[Number]()
-        for part in value.text[1:-1].split(","):
-            text = part.strip()
-            start = at + len(part) - len(part.lstrip())
-            if _SIGNED.fullmatch(text):
-                found.append(Number(text, start, start + len(text)))
-            at += len(part) + 1
-        if len(found) == count == value.text.count(",") + 1:
-            return found
-    raise RapidError(f"{what} is not {count} numbers")
+    floats(value, count, what)
+    at, found = value.start + 1, list[Number]()
+    for part in value.text[1:-1].split(","):
+        text = part.strip()
+        start = at + part.index(text)
+        found.append(Number(text, start, start + len(text)))
+        at += len(part) + 1
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -303,7 +312,7 @@ class Module:
         self.data: dict[str, Datum] = {}
         self.head_end = 0
         self._open: Routine | None = None
-        self._line_ends = [n for n, sign in enumerate(text) if sign == "\n"]
+        self._line_ends = [match.start() for match in re.finditer("\n", text)]
         for tokens in statements(text):
             statement = Statement(self.line(tokens[0].start), tokens)
             try:

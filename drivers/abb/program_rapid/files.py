@@ -35,13 +35,14 @@ from drivers.abb.program_rapid.data import (
     Statement,
     Token,
     closing,
+    floats,
     quoted,
     row,
     split,
     structure,
 )
 from drivers.abb.program_rapid.program import Program, Target, from_quaternions
-from drivers.program_text import Number, source_text
+from drivers.program_text import source_text
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.programs import StatedBase, StatedTool, Stroke
 from hilcell.errors import bounded
@@ -503,8 +504,8 @@ class _Reader:
             self._left.setdefault(remark, statement.line)
             datum = self._module.datum(stated[0].word, routine)
             value = structure(datum.value if datum else stated)
-            if isinstance(value, list) and len(value) == 2 and isinstance(value[1], Token):
-                external = tuple(_axis(each) for each in row(value[1], 6, "extax"))
+            if isinstance(value, list) and len(value) == 2:
+                external = tuple(map(_axis, floats(value[1], 6, "its extax")))
                 self._external.append((statement.line, name, external))
 
     def _check_external(self) -> None:
@@ -663,8 +664,8 @@ def _elements(name: str, value: object, index: str = "") -> Iterator[tuple[str, 
         yield from _elements(name, each, f"{index},{n}" if index else str(n))
 
 
-def _axis(number: Number) -> float | None:
-    return None if number.value >= UNUSED else number.value
+def _axis(value: float) -> float | None:
+    return None if value >= UNUSED else value
 
 
 def _target(name: str, line: int, value: object) -> Target:
@@ -672,29 +673,28 @@ def _target(name: str, line: int, value: object) -> Target:
     if not isinstance(value, list) or len(value) != 4:
         raise RapidError("is not a robtarget in numbers: [[x,y,z],[q1..q4],[cf..],[eax..]]")
     trans, rot = row(value[0], 3, "its place"), row(value[1], 4, "its orientation")
-    conf, external = row(value[2], 4, "its configuration"), row(value[3], 6, "its extax")
-    if not all(math.isfinite(each.value) for each in (*trans, *rot)):
-        raise RapidError("has a number that is not finite")
-    check_unit(rot)
-    if not all(each.value.is_integer() for each in conf):
+    conf, external = floats(value[2], 4, "its configuration"), floats(value[3], 6, "its extax")
+    check_unit([each.text for each in rot])
+    if not all(each.is_integer() for each in conf):
         raise RapidError("has a configuration that is not of whole numbers")
-    cf1, cf4, cf6, cfx = (int(each.value) for each in conf)
+    cf1, cf4, cf6, cfx = map(int, conf)
     if cfx not in range(8):
         raise RapidError(f"has cfx {cfx}, expected 0 to 7")
     axes = tuple(map(_axis, external))
     return Target(name, line, [*trans, *rot], (cf1, cf4, cf6), cfx, axes)
 
 
-def check_unit(numbers: Sequence[Number]) -> None:
+def check_unit(texts: Sequence[str]) -> None:
     """Raise `RapidError` for a quaternion whose length is off 1 by more than its rounding."""
-    length = math.hypot(*(each.value for each in numbers))
-    exponents = [Decimal(each.text).as_tuple().exponent for each in numbers]
+    length = math.hypot(*map(float, texts))
+    if abs(length - 1.0) <= 1e-6:
+        return
+    exponents = [Decimal(each).as_tuple().exponent for each in texts]
     decimals = max(-each for each in exponents if isinstance(each, int))
-    rounding = 10.0 ** -(min(decimals, 6) or 6)
-    if not abs(length - 1.0) <= rounding:
+    if not 0 < decimals < 6 or not abs(length - 1.0) <= 10.0**-decimals:
         raise RapidError(
-            f"its orientation {', '.join(each.text for each in numbers)} has the length "
-            f"{length:.6f}, expected 1: it is no rotation"
+            f"its orientation {', '.join(texts)} has the length {length:.6f}, expected 1: it is no "
+            "rotation"
         )
 
 
@@ -721,7 +721,6 @@ def _frame_of(datum: Datum) -> Array:
 def _pose(value: object) -> Array:
     if not isinstance(value, list) or len(value) != 2:
         raise RapidError("its frame is not in numbers")
-    rot = row(value[1], 4, "its orientation")
-    check_unit(rot)
-    place = [each.value for each in row(value[0], 3, "its place")]
-    return matrix(from_quaternions([[each.value for each in rot]])[0], np.array(place))
+    turn = floats(value[1], 4, "its orientation")
+    check_unit([each.strip() for each in value[1].text[1:-1].split(",")])
+    return matrix(from_quaternions([turn])[0], np.array(floats(value[0], 3, "its place")))
