@@ -11,8 +11,9 @@ axes 1, 4, 6 unless the controller is set otherwise ($SCR_GRP.$TURN_AXIS), so no
 180 deg. The trap: a correction that takes an axis through 180 deg leaves the old turn number, which
 then means a position one revolution away.
 
-Facts are those of public listings and of notes by others (roboception's pose formats, airo-fanuc's
-pose configurations); nothing was tried on a real controller.
+Facts are those of public listings and of notes by others: roboception's pose formats, airo-fanuc's
+pose configurations, and a worked example of onerobotics ("The perils of six-axis robots", 2013).
+Nothing was tried on a real controller.
 """
 
 from __future__ import annotations

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from drivers.fanuc.program_tp import posture, read_program
 from hilcell.cell.file import load_cell
 from hilcell.compensation.targets import CorrectedBefore, Stamp, refuse_corrected
-from hilcell.geometry.frames import pose_from_zyx, zyx_from_pose
-from hilcell.geometry.inverse import BEYOND, status_of
+from hilcell.geometry.frames import pose_from_zyx, poses_from_zyx, zyx_from_pose
+from hilcell.geometry.inverse import BEYOND, inverse_kinematics, status_of
 from hilcell.geometry.kinematics import forward
 from hilcell.ports import HilcellError
 from tests.drivers.fanuc.program_tp.samples import (
@@ -304,6 +304,32 @@ def test_the_letters_of_a_posture_are_the_arms_shape(signs: tuple[float, float])
             straight = joints * [1.0, 1.0, 1.0, 1.0, 0.0, 1.0]
             z, forearm = (forward(arm, each)[:3, 2] for each in (joints, straight))
             assert (np.cross(forearm, z)[1] > 0) == (wrist == "N"), "down is about +y"
+
+
+def test_a_published_position_has_its_published_joints() -> None:
+    """An R-2000iB/165F in NUT 000 (onerobotics, "The perils of six-axis robots", 2013). Its axis 3
+    is counted from the horizontal; UF 0 is at the height of axis 2.
+    """
+    sign, offset_deg = (
+        np.array([1.0, 1.0, -1.0, -1.0, -1.0, -1.0]),
+        [0.0, -90.0, 0.0, 0.0, 0.0, 0.0],
+    )
+    arm = replace(
+        ARM,
+        a_mm=np.array([312.0, 1075.0, 225.0, 0.0, 0.0, 0.0]),
+        d_mm=np.array([0.0, 0.0, 0.0, 1280.0, 0.0, 270.0]),
+        offset_rad=np.radians(offset_deg),
+        sign=sign,
+        tool=np.eye(4),
+        coupling=1.0,
+    )
+    stated = position(2, 1500.0, 0.0, 360.0, 135.0, -45.0, 0.0, uf=0, config="N U T, 0, 0, 0")
+    read = one(L2, positions=stated)
+    ((_, status),) = read.statuses(0, arm)
+    joints_deg = np.degrees(inverse_kinematics(arm, poses_from_zyx(read.values()), status))[0]
+    np.testing.assert_allclose(joints_deg[:3], [7.962, -5.284, -36.250], atol=6e-4)
+    assert np.abs(joints_deg).max() < 180.0
+    assert joints_deg[4] < 0.0, "bent down where axis 4 is at 0"
 
 
 def test_a_posture_is_read_as_the_arms_status() -> None:
