@@ -32,6 +32,7 @@ from hilcell.cell.source import by_line
 from hilcell.cell.undetectable_errors import undetectable_errors
 from hilcell.commands.console import flush_data, print_answer, print_data, print_json, print_message
 from hilcell.commands.signatures import Check, Diagram, Sim
+from hilcell.compensation.programs import program_writer
 from hilcell.decoding import Json
 from hilcell.ports import Exercise, HasSheet, HilcellError, SetsTraps, Training
 from hilcell.run.procedure import Procedure
@@ -113,6 +114,7 @@ def check(args: Check) -> int:
     cell = _load_checked(args.cell, with_plan(args.cell, dict(args.settings), procedure))
     if warning := check_identity(args.cell, cell):
         print_message(warning)
+    program_writer(cell.robot.driver, cell.robot.program)
     for table in (cell.touch, cell.targets):
         if table is not None and table.station:
             cell.station_named(table.station)  # `calibrate` needs neither

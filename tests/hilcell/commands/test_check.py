@@ -66,6 +66,14 @@ def test_options_of_a_driver_that_was_exchanged_are_not_the_files(
     assert "robot.options: host: " in done.stderr
 
 
+def test_an_unknown_form_of_programs_is_named_with_those_installed() -> None:
+    done = command("check", "paper", "--set", "robot.program=fanuc")
+    assert done.returncode == 2
+    assert "robot.program: " in done.stderr
+    assert "fanuc-tp, " in done.stderr
+    assert command("check", "paper", "--set", "robot.program=fanuc-tp").returncode == 0
+
+
 @pytest.mark.parametrize(
     ("content", "line"),
     [
