@@ -208,7 +208,9 @@ def urdf_of_run(facts: Facts) -> bytes:
     from hilcell.fit.robot_file import Robot
 
     log, robot = facts.log, facts.cell.robot
-    learnt = [*log.select("grid"), *log.select("pose")]
+    kinds = ("grid", "oriented", "pose", "base")  # the circles alone turn the flange
+    station = facts.cell.grid.station
+    learnt = [each for kind in kinds for each in log.select(kind, station)]
     rows = Measurements.from_arrays(commanded_rad(learnt), positions_mm(learnt))
     nominal = Robot(robot.name, replace(robot.arm(), tool=np.eye(4)))
     fitted = rigid_arm(fit_robot(nominal, rows))

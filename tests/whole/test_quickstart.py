@@ -67,6 +67,10 @@ def test_the_page_is_typed(tmp_path: Path) -> None:
     identified = read_robot(file.with_suffix(".urdf")).poses(joints_rad)
     off_mm = np.linalg.norm((identified - nominal)[:, :3, 3], axis=1)
     assert 0.05 < off_mm.max() < 10.0
+    urdf = file.with_suffix(".urdf").read_text("utf-8")
+    (seen,) = re.findall(r"Reflector SMR in the tip link, in m: (.*) -->", urdf)
+    seen_mm = 1000.0 * np.array(seen.split(), dtype=float)
+    assert np.linalg.norm(seen_mm - cell.robot.smr_mm) < 3.0  # the grid alone leaves it open
 
 
 def test_a_cell_with_a_rail_is_told_to_be_commissioned(tmp_path: Path) -> None:
