@@ -6,8 +6,9 @@ name, as an element of an array, within the motion, or as a parameter of an own 
 and ``RelTool`` of one keep its correction. A target that is also read, changed or passed on would
 carry its correction to unchecked places: such a program is refused.
 
-Joint targets are left as they are: one whose name has HOME, SAFE or PARK, and the motions of a
-routine before its first and behind its last target. Any other may be a hole, and is refused.
+Left as they are, with a note: poses whose name says home, safe or park, by joints or not, and joint
+targets of a routine before its first and behind its last motion to a robtarget, or in a routine
+that this module does not call. Any other joint target may be a hole, and is refused.
 
 Source: Technical reference manual, RAPID Instructions, Functions and Data types, 3HAC050917: the
 motions named here, Offs, RelTool, PDispSet, EOffsSet, WaitWObj, ActUnit, SoftAct, ConfJ, ConfL.
@@ -16,6 +17,7 @@ motions named here, Offs, RelTool, PDispSet, EOffsSet, WaitWObj, ActUnit, SoftAc
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from decimal import Decimal
@@ -99,7 +101,9 @@ MOVES_NOTHING = (
 )  # fmt: skip
 WORDS = ("IF", "ELSEIF", "ELSE", "ENDIF", "WHILE", "ENDWHILE", "FOR", "ENDFOR", "TEST", "CASE",
          "DEFAULT", "ENDTEST", "ERROR", "UNDO", "BACKWARD")  # fmt: skip
-HOMES = ("HOME", "SAFE", "PARK")
+HOME = re.compile(
+    r"(?:[a-z]{0,3}|\w*_)(?:home|safe|park)(?:_?pos(?:ition)?)?_?\w{0,3}", re.IGNORECASE
+)
 UNUSED = 8.9e9  # an external axis at or beyond it is not there
 
 
@@ -153,7 +157,7 @@ class _Reader:
     """Goes through the statements once for motions, and once more for other uses of data."""
 
     def __init__(self, file: str, module: Module) -> None:
-        self.problems = list[str]()
+        self._problems: dict[int, str] = {}  # the first of each line
         self.targets: dict[str, Target] = {}
         self._file, self._module = file, module
         self._strokes: list[tuple[int, str, Place]] = []
@@ -182,17 +186,19 @@ class _Reader:
         self._pass_on()
         self._each(self._check_uses)
         self._check_external()
-        lines = [(int(each.split(":")[0].split()[1]), each) for each in self.problems]
-        self.problems = [each for _, each in sorted(lines)]
-        if not self.targets and not self.problems:
-            self.problems.append("no motion to a robtarget with numbers: nothing to correct")
+
+    @property
+    def problems(self) -> list[str]:
+        found = [f"line {line}: {self._problems[line]}" for line in sorted(self._problems)]
+        none = "no motion to a robtarget with numbers: nothing to correct"
+        return found or [none] * (not self.targets)
 
     def _each(self, act: Callable[[Routine, Statement], None]) -> None:
         for routine, statement in self._all():
             try:
                 act(routine, statement)
             except RapidError as error:
-                self.problems.append(f"line {statement.line}: {error}")
+                self._problems.setdefault(statement.line, str(error))
 
     # -- the first pass -----------------------------------------------------------------------
 
@@ -274,6 +280,8 @@ class _Reader:
                 self.targets[place.key] = replace(target, is_controlled=True)
             if place.shift_mm is not None:
                 self._strokes.append((statement.line, quoted(arguments.placed[0]), place))
+        if not places:
+            return
         frames = {"tool": arguments.placed[tool_at], "work object": arguments.named.get("WOBJ", ())}
         for what, tokens in frames.items():
             self._set_frame(what, self._frames_of(routine, what, tokens), statement.line)
@@ -307,6 +315,10 @@ class _Reader:
             raise RapidError("its target * is not in the text")
         if first.word in ("OFFS", "RELTOOL") and len(tokens) > 1 and tokens[1].text == "(":
             return self._beside(routine, tokens)
+        if is_home(first.text) and not routine.takes(first.word):
+            remark = f"home pose {first.text} is left unchanged: no hole may be there"
+            self._left.setdefault(remark, self._module.line(first.start))
+            return []
         self._places.add(first.start)
         return [Place(key) for key in self._named(routine, tokens)]
 
@@ -379,9 +391,11 @@ class _Reader:
             if parameter.name == name and value
         ]
         if not found:
-            raise RapidError(
-                f"{name} is a parameter of {routine.name}, and no call in this module says which"
+            remark = (
+                f"no call in this module passes {name} to {routine.name}: motions to it are not "
+                "corrected"
             )
+            self._left.setdefault(remark, routine.line)
         return found
 
     def _keep(self, key: str, name: str, line: int, value: object) -> None:
@@ -427,11 +441,18 @@ class _Reader:
         if len(bare) == 1 and bare[0].word:
             name = bare[0].word
             if (parameter := routine.takes(name)) and not parameter.may_change:
-                return [
-                    sign * value
-                    for caller, passed, outer in self._passed(routine, name, within)
-                    for value in self._numbers(caller, passed, outer)
-                ]
+                passed = self._passed(routine, name, within)
+                if not routine.is_local and passed:
+                    remark = (
+                        f"{routine.name} is not LOCAL: shifts of other modules' calls count too"
+                    )
+                    self._left.setdefault(remark, routine.line)
+                if passed:
+                    return [
+                        sign * value
+                        for caller, tokens_of, outer in passed
+                        for value in self._numbers(caller, tokens_of, outer)
+                    ]
             datum = self._module.datum(name, routine)
             if datum is not None and (datum.storage, datum.kind) == ("CONST", "NUM"):
                 return [sign * value for value in self._numbers(routine, datum.value, within)]
@@ -483,30 +504,34 @@ class _Reader:
     def _each_joint_target(self, routine: Routine) -> None:
         """Leave the joint targets of a routine that are no holes; refuse the others."""
         moves = [n for n, each in enumerate(routine.statements) if each.head in MOTIONS]
+        is_aside = not moves and (not self._calls.get(routine.name) or is_home(routine.name))
         for n, statement in enumerate(routine.statements):
             if statement.head != "MOVEABSJ":
                 continue
             arguments = Arguments.of(statement.tokens[1:-1])
-            stated = arguments.placed[0]
+            stated = arguments.placed[0] if arguments.placed else ()
             name = quoted(stated)
-            is_home = len(stated) == 1 and any(each in name.upper() for each in HOMES)
             outside = bool(moves) and (n < moves[0] or n > moves[-1])
-            if not is_home and not outside:
-                self.problems.append(
-                    f"line {statement.line}: MoveAbsJ {name}: a joint target may be a hole, and is "
-                    "not corrected; state it as a robtarget, or a home with HOME, SAFE or PARK in "
-                    "its name"
-                )
-                continue
             if "ID" in arguments.named:
-                self.problems.append(f"line {statement.line}: MoveAbsJ\\ID: {_SEVERAL}")
-            remark = f"joint target {name} is left unchanged: no hole may be there"
-            self._left.setdefault(remark, statement.line)
-            datum = self._module.datum(stated[0].word, routine)
-            value = structure(datum.value if datum else stated)
-            if isinstance(value, list) and len(value) == 2:
-                external = tuple(map(_axis, floats(value[1], 6, "its extax")))
-                self._external.append((statement.line, name, external))
+                self._problems.setdefault(statement.line, f"MoveAbsJ\\ID: {_SEVERAL}")
+            elif not (is_home(name) or outside or is_aside):
+                problem = (
+                    f"MoveAbsJ {name}: a joint target may be a hole, and is not corrected; state "
+                    "it as a robtarget, or a home with HOME, SAFE or PARK in its name"
+                )
+                self._problems.setdefault(statement.line, problem)
+            else:
+                remark = f"joint target {name} is left unchanged: no hole may be there"
+                self._left.setdefault(remark, statement.line)
+                self._note_external(routine, stated, statement.line)
+
+    def _note_external(self, routine: Routine, stated: Sequence[Token], line: int) -> None:
+        """Take the external axes of a joint target, where it has numbers in this module."""
+        datum = self._module.datum(stated[0].word, routine) if stated else None
+        value = structure(datum.value if datum else stated)
+        if isinstance(value, list) and len(value) == 2:
+            external = tuple(map(_axis, floats(value[1], 6, "its extax")))
+            self._external.append((line, quoted(stated), external))
 
     def _check_external(self) -> None:
         """Refuse targets at which external axes stand elsewhere than at the first one."""
@@ -515,17 +540,19 @@ class _Reader:
         first = next(iter(self.targets.values()))
         for target in self.targets.values():
             if target.external != first.external:
-                self.problems.append(
-                    f"line {target.line}: {target.name} has other external axes (extax) than "
-                    f"{first.name} of line {first.line}: a program is corrected for one station"
+                problem = (
+                    f"{target.name} has other external axes (extax) than {first.name} of line "
+                    f"{first.line}: a program is corrected for one station"
                 )
+                self._problems.setdefault(target.line, problem)
         for line, name, external in self._external:
             pairs = zip(external, first.external, strict=True)
             if any(at is not None and other is None for at, other in pairs):
-                self.problems.append(
-                    f"line {line}: {name} moves external axes, and the targets do not say where "
-                    "they stand (extax): state it in both, or in none"
+                problem = (
+                    f"{name} moves external axes, and the targets do not say where they stand "
+                    "(extax): state it in both, or in none"
                 )
+                self._problems.setdefault(line, problem)
 
     # -- the second pass ----------------------------------------------------------------------
 
@@ -637,6 +664,11 @@ class _Reader:
         ]
         if unused:
             yield f"not used by a motion, left: {', '.join(bounded(unused))}"
+
+
+def is_home(name: str) -> bool:
+    """Whether a name says that no hole is there: pHome, jSafe1, Target_Home, park_pos."""
+    return HOME.fullmatch(name) is not None
 
 
 def _assigns(tokens: Sequence[Token]) -> bool:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.abb.program_rapid.files import read_program
+from drivers.abb.program_rapid.files import is_home, read_program
 from drivers.abb.program_rapid.program import Target, cfx_of, from_quaternions, to_quaternions
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
@@ -186,7 +186,6 @@ MOVE = "MoveL p1,v1,fine,t;\n"
         (f"{MOVE}MoveL p2,v1,fine,t\\WObj:=w;", 1, "its work object is w, that of other motions"),
         (f'{MOVE}MoveLSync p2,v1,z1,t,"Rise";', 1, "its routine RISE moves, or is not in this"),
         (f"{MOVE}MoveAbsJ j1,v1,fine,t;\n{MOVE}", 1, "a joint target may be a hole"),
-        ("MoveAbsJ j1,v1,fine,t;", 0, "a joint target may be a hole"),
         (f"MoveAbsJ j1\\ID:=1,v1,fine,t;\n{MOVE}", 0, "several robots move together"),
         (f'{MOVE}TPWrite "open;', 1, "a string does not end on its line"),
         ("MoveL h{3},v1,fine,t;", 0, "h{3} is no element of h"),
@@ -244,8 +243,6 @@ def test_parameters_of_own_routines_are_what_its_calls_pass() -> None:
     assert shifts == {(n, z) for n in (0, 1) for z in (-1.0, -2.0)}
     with pytest.raises(SettingsError, match="is used besides moving"):
         module(f"{main}{outer}{inner}x:=p.trans.z;\nENDPROC\n")
-    with pytest.raises(SettingsError, match="no call in this module says which"):
-        module(f"{outer}{inner}ENDPROC\n")
     with pytest.raises(SettingsError, match="may be changed there"):
         module(f"{main}{outer}{inner}ENDPROC\n".replace("robtarget q", "INOUT robtarget q"))
     with pytest.raises(SettingsError, match="calls itself"):
@@ -269,11 +266,58 @@ def test_handlers_and_traps_that_move_are_refused(block: str, moves: str) -> Non
         module(text.format(block.format(moves)))
 
 
+def test_a_routine_that_only_other_modules_call() -> None:
+    text = "PROC At(robtarget p,PERS tooldata tt)\nMoveL Offs(p,0,0,1),v1,fine,tt;\nENDPROC\n"
+    read = module(f"{text}PROC main()\n{MOVE}ENDPROC\n")
+    assert [each.name for each in read.targets] == ["p1"]
+    assert not read.strokes
+    assert sum("no call in this module passes P to AT" in each for each in read.notes) == 1
+    with pytest.raises(SettingsError, match="its shift up is computed at run time"):
+        module("PROC At(num up)\nMoveL Offs(p1,0,0,up),v1,fine,t;\nENDPROC\n")
+
+
 def test_home_poses_are_left_unchanged_and_named() -> None:
     read = one(f"MoveAbsJ j1,v1,fine,t;\n{MOVE}MoveAbsJ [[0,0,0,0,0,0],{NONE}],v1,fine,t;")
     assert sum("joint target" in each for each in read.notes) == 2
     data = f"CONST jointtarget jSafe1:=[[0,0,0,0,90,0],{NONE}];\n"
-    one(f"{MOVE}MoveAbsJ jSafe1,v1,fine,t;\n{MOVE}", data)
+    data += f"CONST robtarget pHome:=[[1,2,3],[1,0,0,0],[0,0,0,0],{NONE}];\n"
+    read = one(
+        f"MoveJ pHome,v1,fine,t\\WObj:=w;\n{MOVE}MoveAbsJ jSafe1,v1,fine,t;\n{MOVE}"
+        "MoveL Offs(pHome,0,0,9),v1,fine,tOther;\nMoveJ pSafeS2,v1,fine,t;",
+        data,
+    )
+    assert [each.name for each in read.targets] == ["p1"]
+    for name in ("jSafe1", "pHome", "pSafeS2"):
+        assert sum(f"{name} is left unchanged" in each for each in read.notes) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [("pHome", True), ("JHOME", True), ("Target_Home", True), ("home_pos", True), ("pPark10", True),
+     ("pSafePosition", True), ("pHole1", False), ("pSparkHole", False), ("pSafetyWire", False),
+     ("pHomeBracket", False)],
+)  # fmt: skip
+def test_names_of_home_poses(name: str, expected: bool) -> None:
+    assert is_home(name) is expected
+
+
+def test_joint_targets_of_routines_aside() -> None:
+    """A service pose in a routine of its own is no hole of this program."""
+    for aside in ("zero", "GoHome"):
+        call = f"{aside};\n" * (aside == "GoHome")
+        read = module(
+            f"PROC {aside}()\nMoveAbsJ j1,v1,fine,t;\nENDPROC\nPROC main()\n{call}{MOVE}ENDPROC\n"
+        )
+        assert "joint target j1 is left unchanged" in read.notes[0]
+    with pytest.raises(SettingsError, match="a joint target may be a hole"):
+        module(f"PROC a()\nMoveAbsJ j1,v1,fine,t;\nENDPROC\nPROC main()\na;\n{MOVE}ENDPROC\n")
+
+
+def test_a_line_has_one_problem() -> None:
+    said = refusal(f"{MOVE}MoveC p1,p1,v1,fine,t;\nMoveC p1,p1,v1,fine,t;")
+    assert [each.partition(": ")[0] for each in said.splitlines()] == [
+        f"drill.mod line {BODY + n}" for n in (1, 2)
+    ]
 
 
 def with_axis(*values: str) -> str:
