@@ -3,15 +3,30 @@
 import csv
 import io
 import json
+import re
 import xml.etree.ElementTree as ET
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from hilcell.calibration.grid import grid_of
+from hilcell.cell.file import load_cell
 from hilcell.commands.cli import main
+from hilcell.fit.urdf_file import read_robot
+from hilcell.geometry.frames import apply, from_zyx, matrix
+from hilcell.geometry.kinematics import forward
 from hilcell.model.point import PointId
-from hilcell.report.export import POINTS, csv_bytes, json_bytes, results_table, xlsx_bytes
+from hilcell.report.export import (
+    POINTS,
+    csv_bytes,
+    json_bytes,
+    results_table,
+    urdf_of_run,
+    xlsx_bytes,
+)
 from tests.hilcell.report.journals import Writer, validated_run
 
 POINT_KEYS = [column.key for column in POINTS]
@@ -54,6 +69,39 @@ def test_readings_have_their_age_at_use(tmp_path: Path) -> None:
         ["0.02", "0.01", "", "8.0"],
         ["", "", "", ""],
     ]
+
+
+def test_a_run_s_arm_is_a_urdf_with_its_base_and_reflector(tmp_path: Path) -> None:
+    """The grid has one orientation of the flange: only the circles tell base from reflector."""
+    cell, writer = load_cell("paper"), Writer(tmp_path / "r").began()
+    arm, station, rng = cell.robot.arm(), cell.grid.station, np.random.default_rng(3)
+    true = replace(arm, a_mm=arm.a_mm + [0.0, 0.8, -0.5, 0.0, 0.0, 0.0])
+    T_L_B = matrix(from_zyx([170.0, 0.0, 0.0]), np.array([4000.0, 300.0, -900.0]))
+    vertices_mm = grid_of(cell).serpentine_mm()
+    grid_rad = cell.robot.nominal().joints_for(
+        matrix(cell.grid.centre.matrix()[:3, :3], vertices_mm)
+    )
+    circles_rad = np.radians(np.tile(cell.base_frame.axis_1_deg, (10, 1)))
+    circles_rad[:5, 0] += np.radians([-60.0, -30.0, 0.0, 30.0, 60.0])
+    circles_rad[5:, 5] += np.radians([-150.0, -75.0, 0.0, 75.0, 150.0])
+    ids = [PointId("grid", vertex=(n, 0, 0)) for n in range(len(grid_rad))]
+    ids += [PointId("base", axis=1 if n < 5 else 6, number=n) for n in range(10)]
+    joints_rad = np.vstack([grid_rad, circles_rad])
+    seen_mm = apply(T_L_B, forward(true, joints_rad)[:, :3, 3]) + rng.normal(0, 0.02, (len(ids), 3))
+    for id, joints, xyz_mm in zip(ids, joints_rad, seen_mm, strict=True):
+        writer.point(id, xyz_mm, station, commanded_deg=tuple(np.degrees(joints).tolist()))
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_bytes(urdf_of_run(writer.facts()))
+    (root,) = re.findall(r"xyz in m, rpy in rad: (.*);", urdf.read_text())
+    (smr,) = re.findall(r"Reflector SMR in the tip link, in m: (.*) -->", urdf.read_text())
+    root_mm, smr_mm = (1000.0 * np.array(each.split(), dtype=float) for each in (root, smr))
+    assert np.linalg.norm(root_mm - T_L_B[:3, 3]) < 2.0
+    assert np.linalg.norm(smr_mm - cell.robot.smr_mm) < 1.0
+    flange = read_robot(urdf).poses(grid_rad) @ matrix(np.eye(3), smr_mm)
+    from_first_mm = flange[:, :3, 3] - flange[0, :3, 3]
+    true_mm = forward(true, grid_rad)[:, :3, 3]
+    off_mm = np.linalg.norm(from_first_mm, axis=1) - np.linalg.norm(true_mm - true_mm[0], axis=1)
+    assert np.abs(off_mm).max() < 0.1
 
 
 def test_a_formula_stays_text(tmp_path: Path) -> None:
