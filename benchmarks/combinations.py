@@ -57,7 +57,7 @@ class Combination:
     @property
     def settings(self) -> list[str]:
         drivers = [f"{t}.driver={getattr(self, t)}" for t in ("robot", "tracker", "rail")]
-        return drivers + (COARSE.get(self.tracker, []) if self.cell == "paper" else [])
+        return drivers + (COARSE.get(self.tracker, []) if self.cell != "lab" else [])
 
 
 def combinations() -> list[Combination]:

@@ -26,7 +26,7 @@ from hilcell.ports import DeviceError
 from hilcell.sanitize import clean
 
 RECEIVE = 65536
-LONGEST_HEAD, LONGEST_BODY = 16_384, 1_000_000
+LONGEST_HEAD, LONGEST_BODY = 16_384, 8_000_000
 UNAUTHORIZED, NO_CONTENT, NOT_MODIFIED = 401, 204, 304
 
 

@@ -159,7 +159,7 @@ class AbbEgmRobot:
             self._open()
             services = self.services()
             identity = self._identify(services)
-            self._logged = services.last_error()[0]
+            self._logged = self._last_error(services)[0]
             check_options(services)
             self.check_panel(moving=False)
             port = stream_port(services, self._options.egm_device)
@@ -548,8 +548,18 @@ class AbbEgmRobot:
 
     def _event(self, services: WebServices) -> str:
         """Return the newest error of the event log since connect in brackets, "" for none."""
-        place, text = services.last_error()
+        place, text = self._last_error(services)
         return f" ({text})" if text and place > self._logged else ""
+
+    @staticmethod
+    def _last_error(services: WebServices) -> tuple[int, str]:
+        """Return the newest error of the event log; none where the log cannot be read."""
+        try:
+            return services.last_error()
+        except DeviceError as error:
+            if error.code not in ("HC-B03", "HC-B26"):
+                raise
+            return 0, ""
 
     # -- also for a sweep ---------------------------------------------------------------------
 

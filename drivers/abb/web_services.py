@@ -127,7 +127,8 @@ class WebServices:
 
         The text is the event's number and title, as "event 50027: Joint Out of Range".
         """
-        for entry in self.states("/rw/elog/0?lang=en&order=lifo"):
+        least = "&limit=50" if self.generation > 1 else ""  # of 1000; generation 1 sends all
+        for entry in self.states(f"/rw/elog/0?lang=en&order=lifo{least}"):
             error = "3"
             if entry.get("msgtype") == error and "code" in entry:
                 place = re.search(r"(\d{1,9})$", entry.get("_title", ""))

@@ -29,6 +29,7 @@ from hilcell.geometry.kinematics import forward
 from hilcell.ports import DeviceError, DeviceRefused, RobotReading, Stopped
 from tests.drivers.peers import refusal
 from tests.fakes.rail_bench import until
+from tests.whole.bench import ran
 
 pytestmark = pytest.mark.waits
 
@@ -288,6 +289,15 @@ def test_a_stream_that_ends_is_noticed(
     assert refusal(lambda: robot.move_to(TARGET, 100.0)).code == "HC-B85"
 
 
+def test_a_wait_for_a_position_ends_at_a_stop(bench: Bench, robot: AbbEgmRobot) -> None:
+    bench.server.stream.vanish()
+    person = threading.Timer(0.1, bench.stop.set)
+    person.start()
+    with pytest.raises(Stopped):
+        robot.fresh_position()
+    person.join()
+
+
 # -- moving --------------------------------------------------------------------------------------
 
 WAITS_S = {  # of a robot that gets nowhere, in place of several seconds
@@ -366,6 +376,15 @@ def test_mastership_lost_during_a_motion_ends_it(bench: Bench, robot: AbbEgmRobo
     error = refusal(lambda: robot.move_to(FAR, 10.0))
     person.join()
     assert error.code == "HC-B83"
+
+
+def test_a_module_that_another_has_started_is_noticed(bench: Bench, robot: AbbEgmRobot) -> None:
+    bench.controller.stop()
+    assert bench.controller.write_symbol("hc_session", "7")
+    assert bench.controller.set_pointer("hc_main")
+    assert bench.controller.start()
+    error = refusal(robot.read)
+    assert (error.code, "session is 7" in error.found) == ("HC-B66", True)
 
 
 def test_an_invalid_target_or_speed_moves_nothing(bench: Bench, robot: AbbEgmRobot) -> None:
@@ -509,3 +528,17 @@ def test_absolute_accuracy_is_told(bench: Bench) -> None:
     robot.connect()
     assert robot.read().by_factory_links
     robot.close()
+
+
+@pytest.mark.nightly
+def test_the_shipped_cell_is_calibrated(tmp_path: Path) -> None:
+    run = ran(tmp_path, "calibrate", {}, "--cell", "abb", "--machine-seed", "4")
+    assert run.end["exit"] == 0
+    figures = run.result["validation"]["S1100"]
+    assert figures["chosen"]["mean"] < 0.1 * figures["before"]["mean"]
+
+
+def test_a_run_on_the_shipped_cell_by_either_generation(tmp_path: Path) -> None:
+    values = {"robot.options.web_services": "2", "layout.nest_samples": "2"}
+    run = ran(tmp_path, "world-frame", values, "--cell", "abb")
+    assert run.end["exit"] == 0

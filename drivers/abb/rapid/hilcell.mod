@@ -65,16 +65,13 @@ MODULE hilcell
     MoveAbsJ hc_target\NoEOffs,v1000\T:=hc_seconds,fine,hc_tool;
     hc_moves:=FALSE;
     hc_state{4}:=number;
-  ERROR
-    ! A trap has stopped the motion: what is left of the path is dropped, the robot stays.
-    IF ERRNO=HC_STOPPED THEN
-      ClearPath;
-      StartMove;
-      hc_state{4}:=number;
-      RETURN;
-    ENDIF
-    hc_moves:=FALSE;
-    RAISE;
+  ERROR (HC_STOPPED)
+    ! A trap has stopped the motion, and has left it by a long jump to here: what is left of the
+    ! path is dropped, the robot stays. Other errors stop the program; the event log has them.
+    ClearPath;
+    StartMove;
+    hc_state{4}:=number;
+    RETURN;
   ENDPROC
 
   LOCAL TRAP hc_hear

@@ -1,0 +1,64 @@
+"""The module for the controller: the same names, numbers and errors as in the driver."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+import drivers.abb
+from drivers.abb.controller_side import MODULE_VERSION, controller_side
+from drivers.abb.robot_egm import BRAKED, LOST
+from drivers.supervision import HEARTBEAT_TIMEOUT_S
+
+FOLDER = Path(drivers.abb.__file__).parent
+TEXT = (FOLDER / "rapid" / "hilcell.mod").read_text("ascii")
+
+
+def test_the_module_has_the_version_life_and_errors_of_the_driver() -> None:
+    assert f"CONST num hc_version:={MODULE_VERSION};" in TEXT
+    assert f"CONST num hc_life_s:={HEARTBEAT_TIMEOUT_S:g};" in TEXT
+    assert set(map(int, re.findall(r"hc_state\{5\}:=(\d+)", TEXT))) == {0, LOST, BRAKED}
+
+
+def test_each_name_that_the_driver_uses_is_declared() -> None:
+    used = set()
+    for path in FOLDER.glob("*.py"):
+        used |= set(re.findall(r"\bhc_[a-z]+", path.read_text("utf-8")))
+    declared = set(re.findall(r"(?:PERS|CONST) \w+ (hc_\w+)", TEXT))
+    assert used - declared == {"hc_main"}
+    assert "PROC hc_main()" in TEXT
+
+
+def test_names_are_short_enough_and_lines_ascii() -> None:
+    """RAPID reference manual: an identifier has at most 32 characters."""
+    assert max(map(len, re.findall(r"\w+", TEXT))) <= 32
+    assert max(map(len, TEXT.splitlines())) <= 100
+
+
+def test_blocks_are_closed() -> None:
+    code = re.sub(r"!.*", "", TEXT)
+    for begin, end in (("PROC", "ENDPROC"), ("TRAP", "ENDTRAP"), ("MODULE", "ENDMODULE")):
+        begins = len(re.findall(rf"^\s*(?:LOCAL )?{begin} ", code, re.MULTILINE))
+        assert begins == len(re.findall(rf"^\s*{end}$", code, re.MULTILINE)) > 0
+    assert len(re.findall(r"\bTHEN$", code, re.MULTILINE)) == code.count("ENDIF")
+    assert code.count("WHILE") == 2 * code.count("ENDWHILE")
+
+
+def test_tool_and_device_are_filled_in() -> None:
+    side = controller_side(
+        {"smr_mm": (98.0, -1.5, 127.0), "egm_device": "Mine", "host": "10.0.0.5"}
+    )
+    (module,) = side.files
+    text = module.contents.decode("ascii")
+    assert "hc_tool:=[TRUE,[[98.0000,-1.5000,127.0000],[1,0,0,0]]," in text
+    assert '"default","Mine"\\Joint' in text
+    assert any("10.0.0.5" in step for step in side.steps)
+    assert any("`Mine`" in step for step in side.steps)
+
+
+@pytest.mark.parametrize("device", ['x";Stop', "a b"])
+def test_no_option_becomes_code(device: str) -> None:
+    (module,) = controller_side({"egm_device": device}).files
+    assert device.encode() not in module.contents
