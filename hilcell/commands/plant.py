@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
@@ -399,6 +400,12 @@ STATIONS: tuple[Column[StationTrend], ...] = (
         lambda each: "out" if _is_out(each) else f"{_years_left(each):.1f}".replace("inf", ""),
     ),
 )
+
+
+def _newest_urad(axis: str, instrument: Instrument) -> float | None:
+    return next((each.urad for each in instrument.axes if each.axis == axis), None)
+
+
 INSTRUMENTS: tuple[Column[Instrument], ...] = (
     Column("instrument", attrgetter("kind")),
     Column("serial", attrgetter("serial")),
@@ -408,6 +415,10 @@ INSTRUMENTS: tuple[Column[Instrument], ...] = (
     Column("last", lambda each: _day(each.last)),
     Column("scale", attrgetter("scale_ppm"), "ppm", "+z.1f"),
     Column("u", attrgetter("u_ppm"), "ppm", ".1f"),
+    *(
+        Column(axis, partial(_newest_urad, axis), "µrad", "+z.1f")
+        for axis in ("collimation", "transit", "index")
+    ),
     Column("disagrees with", lambda each: _names(each.disagrees_with)),
 )
 ALARMS: tuple[Column[AlarmCount], ...] = (

@@ -34,11 +34,13 @@ from sqlalchemy import Connection, Text, and_, cast, func, or_, select
 
 from hilcell.decoding import Json, decoded
 from hilcell.geometry.kinematics import Array
+from hilcell.geometry.statistics import slope
 from hilcell.identity import Identity, changed_asset_kinds
 from hilcell.journal.index import RunRow
 from hilcell.model.verdicts import OTHERS, VALIDATION
 from hilcell.plant.cells import CELL, Doubt, left_out, selected, uses
 from hilcell.plant.tables import (
+    ADJUSTMENT,
     ALARM,
     BATCH,
     DEVICE,
@@ -521,11 +523,24 @@ class StationTrend(msgspec.Struct, frozen=True, kw_only=True):
     out_in_years: float | None
 
 
+class AxisTrend(msgspec.Struct, frozen=True, kw_only=True):
+    """An error of a tracker's axis at its newest check, and its change a year over all checks with
+    U (k = 2), None of too few: least squares.
+    """
+
+    axis: str
+    checks: int
+    urad: float
+    urad_per_year: float | None = None
+    U_urad_per_year: float | None = None
+
+
 class Instrument(msgspec.Struct, frozen=True, kw_only=True):
     """A device by its serial number, in all its cells.
 
     ``scale_ppm``: scale error of a tracker from certified lengths, with standard uncertainty u;
-    ``disagrees_with``: trackers that agree with each other but not with this one.
+    ``disagrees_with``: trackers that agree with each other but not with this one; ``axes``: of one
+    that was checked in both faces.
     """
 
     kind: str
@@ -540,6 +555,7 @@ class Instrument(msgspec.Struct, frozen=True, kw_only=True):
     scale_ppm: float | None = None
     u_ppm: float | None = None
     disagrees_with: list[str] = []
+    axes: list[AxisTrend] = []
 
 
 class AlarmCount(msgspec.Struct, frozen=True, kw_only=True):
@@ -654,7 +670,7 @@ def instruments(connection: Connection, cell: str = "", robot: str = "") -> list
         .where(DEVICE.c.serial != "")
     )  # fmt: skip
     devices = grouped(connection, query, "kind", "serial", "maker", "model")
-    scales = _scales(connection)
+    scales, axes = _scales(connection), _axes(connection)
     return [
         Instrument(
             kind=kind, maker=maker, model=model, serial=serial,
@@ -664,10 +680,43 @@ def instruments(connection: Connection, cell: str = "", robot: str = "") -> list
             first=min(row.first for row in rows),
             last=max(row.last for row in rows),
             **(_scale(serial, scales) if kind == TRACKER else {}),
+            axes=axes.get(serial, []) if kind == TRACKER else [],
         )
         for (kind, serial, maker, model), rows in sorted(devices.items())
         if any(cell in ("", row.cell) and robot in ("", row.robot) for row in rows)
     ]  # fmt: skip
+
+
+def _axes(connection: Connection) -> dict[str, list[AxisTrend]]:
+    """Return the axes of each tracker that was checked in both faces."""
+    names = ("collimation", "transit", "index")
+    numbers = (RUN.c.ended, *(ADJUSTMENT.c[f"{name}_urad"] for name in names))
+    query = (
+        select(RUN.c.tracker, *map(joined, numbers))
+        .join(ADJUSTMENT, ADJUSTMENT.c.digest == RUN.c.digest)
+        .where(RUN.c.tracker != "", RUN.c.newest)
+        .group_by(RUN.c.tracker)
+    )
+    found: dict[str, list[AxisTrend]] = {}
+    for row in connection.execute(query):
+        own = np.column_stack([np.frombuffer(each, ">f8") for each in row[1:]])
+        own = own[np.argsort(own[:, 0], kind="stable")]
+        each = (_axis_trend(name, own[:, 0], own[:, n]) for n, name in enumerate(names, 1))
+        found[row.tracker] = [trend for trend in each if trend is not None]
+    return found
+
+
+def _axis_trend(axis: str, ended_s: Array, urad: Array) -> AxisTrend | None:
+    """Return the trend of an axis by errors (N,) at times (N,), NaN where not known."""
+    known = np.isfinite(urad)
+    years, values = ended_s[known] / YEAR_S, urad[known]
+    if not len(values):
+        return None
+    newest = AxisTrend(axis=axis, checks=len(values), urad=float(values[-1]))
+    if len(values) < FEWEST or not float(np.ptp(years)) > 0.0:
+        return newest
+    a_year, u = slope(years, values)
+    return msgspec.structs.replace(newest, urad_per_year=a_year, U_urad_per_year=2.0 * u)
 
 
 def _scales(connection: Connection) -> dict[str, tuple[float, float]]:

@@ -31,8 +31,9 @@ from hilcell.journal.index import RunRow, row_of_records
 from hilcell.journal.journal import Record, chain
 from hilcell.journal.log import Log
 from hilcell.model.outcome import Figure
-from hilcell.model.verdicts import LengthsChecked
+from hilcell.model.verdicts import AxesJudged, LengthsChecked
 from hilcell.plant.tables import (
+    ADJUSTMENT,
     ALARM,
     DEVICE,
     DOCUMENT,
@@ -106,7 +107,7 @@ def run_record(
         )
     head, (run_key, revision) = heads(records)[-1], run_key_of(run, records)
     points = list(_points(log, records))
-    checked = log.verdict(LengthsChecked)
+    checked, axes = log.verdict(LengthsChecked), log.verdict(AxesJudged)
     first_end = next(each for each in records if each.kind == "end")
     whole: dict[Table, Sequence[Values]] = {
         OUTCOME: [{"row": msgspec.to_builtins(row)}],
@@ -131,6 +132,7 @@ def run_record(
             _columns(LENGTH, each) | {"nests": "-".join(each.nests)}
             for each in (() if checked is None else checked.lengths)
         ),
+        ADJUSTMENT: [] if axes is None else [_columns(ADJUSTMENT, axes)],
         GRID: list(_grid(log)),
         STREAM: [_columns(STREAM, each) for each in log.streams.values()],
         DOCUMENT: [_columns(DOCUMENT, each) for each in documents],

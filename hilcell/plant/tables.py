@@ -75,6 +75,7 @@ LONGEST_OUTCOME = 2**18  # those of all cells are read at once
 MOST_VERTICES = 4096
 LONGEST_DOCUMENT = 64 * 2**20
 FARTHEST_MM = 1e6  # of what is averaged: sums of more would overflow
+FARTHEST_URAD = 1e6
 
 
 class _Either(sa.ColumnElement[Any]):
@@ -404,6 +405,16 @@ LENGTH = _part(
     _check("length_wanted", "wanted_mm >= 1"),
     _check("length_U", '"U_mm" >= 0'),
 )
+ADJUSTMENT = _part(
+    "adjustment",
+    "errors of the tracker's axes by both faces, with expanded uncertainties (k = 2)",
+    _figure("collimation_urad", "of the line of sight", FARTHEST_URAD),
+    _figure("collimation_U_urad", "its U", FARTHEST_URAD),
+    _perhaps("transit_urad", "of the transit axis, NULL where not separable", FARTHEST_URAD),
+    _perhaps("transit_U_urad", "its U", FARTHEST_URAD),
+    _figure("index_urad", "of the vertical circle", FARTHEST_URAD),
+    _figure("index_U_urad", "its U", FARTHEST_URAD),
+)
 GRID = _part(
     "grid",
     "errors of the robot at the vertices of a whole grid",
@@ -499,7 +510,9 @@ DECISION = _table(
 BATCH = 500  # keys of one query
 LOCK_S = 10.0  # wait for another transaction, or another process that writes an SQLite file
 TRACKER = "tracker"  # of the kinds of `device`
-PARTS = (OUTCOME, FRAME, VERDICT, DEVICE, ALARM, LENGTH, GRID, STREAM, DOCUMENT, POINT)
+PARTS = (
+    OUTCOME, FRAME, VERDICT, DEVICE, ALARM, LENGTH, ADJUSTMENT, GRID, STREAM, DOCUMENT, POINT,
+)  # fmt: skip
 
 
 def grouped(

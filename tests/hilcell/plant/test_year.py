@@ -90,10 +90,20 @@ def test_a_year_of_three_cells(filed: str) -> None:
     assert {serial: each["disagrees_with"] for serial, each in trackers.items()} == {
         "T-0": [], "T-1": [], "T-2": ["T-0", "T-1"],
     }  # fmt: skip
+    _check_axes(trackers["T-0"]["axes"])
     assert [(each["code"], each["cells"]) for each in found["alarms"]] == [
         (COLLISION["code"], ["middle"])
     ]
     assert found["doubts"] == []
+
+
+def _check_axes(axes: list[dict[str, Any]]) -> None:
+    assert [each["axis"] for each in axes] == ["collimation", "transit", "index"]
+    assert [(each["checks"], each["urad"]) for each in axes] == [(12, 23.0), (12, -1.0), (12, 3.0)]
+    collimation, transit, _ = axes
+    assert collimation["urad_per_year"] == pytest.approx(24.0, abs=collimation["U_urad_per_year"])
+    assert 0.0 < collimation["U_urad_per_year"] < 2.0
+    assert transit["urad_per_year"] == pytest.approx(0.0, abs=1e-9)
 
 
 def _check_cells(found: dict[str, Any]) -> None:
@@ -411,6 +421,10 @@ def test_every_panel_has_its_answer_of_the_year(
     assert len(worn) == MONTHS
     south = [each["value"] for each in by_title["Trackers"] if each["metric"] == "T-2"]
     assert min(south) > 100.0
+    axes = by_title["Trackers' axes"]
+    assert {each["metric"] for each in axes if each["metric"].startswith("T-2")} == {
+        f"T-2 {name}" for name in ("collimation", "transit", "index")
+    }
     assert sum(each["runs"] for each in rows["Runs of a month by their end"]) == 3 * MONTHS + 1
 
 

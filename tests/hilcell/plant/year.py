@@ -15,12 +15,14 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from hilcell.calibration.grid import grid_of
 from hilcell.journal.journal import Journal, Record, chain
 from hilcell.journal.log import Log
 from hilcell.journal.runs import JOURNAL, read_records
 from hilcell.ports import Array
+from tests.hilcell.verdicts import TRACKER_AXES, plain
 
 KEPT = ("plan", "state", "frame", "verdict", "end")
 GROUPS = ("world", "grid", "base")
@@ -58,6 +60,7 @@ class Run:
     base_mm: tuple[float, ...] = (0.0, 0.0, 0.0)  # by which {B} was found elsewhere
     means_mm: dict[str, float] = field(default_factory=dict)
     scale_ppm: float = 0.0
+    axes_urad: tuple[float, float, float] | None = None  # of the tracker, as checked
     fault: dict[str, Any] | None = None
     late: bool = False  # the fault came at the very end
 
@@ -84,6 +87,10 @@ class Model:
         for record in copied[:whole]:
             t = run.began + (datetime.fromisoformat(record.t) - first)
             self._change(record, run, moved_mm)
+            if run.axes_urad is not None and record.kind == "end":
+                c, i, v = run.axes_urad
+                axes = replace(TRACKER_AXES, collimation_urad=c, transit_urad=i, index_urad=v)
+                rows.append((t, "verdict", "tracker-axes", plain(replace(axes, holds=True))))
             rows.append((t, record.kind, record.key, record.body))
         if run.fault is not None:
             reason = {"reason": "Robot: move: collision detection", "error": run.fault}
@@ -192,6 +199,7 @@ def year(model: Model, runs: Path, last: datetime, months: int = 12) -> datetime
                     moved=partial(noisy, 100 * number + at, changed),
                     means_mm={"S300": wear_mm},
                     scale_ppm=120.0 if cell == "south" else 0.0,
+                    axes_urad=(2.0 * at + at % 2, -1.0, 3.0),
                 ),
             )
     hit_run = Run("middle-hit", "middle", "HC-1", crash, "R-1", "T-1", fault=COLLISION)
