@@ -20,10 +20,9 @@ from hilcell.sanitize import clean
 
 CSV = (".csv", ".txt")
 KNOWN = (
-    ".csv", ".txt", ".xlsx", ".xls", ".ods", ".json", ".html", ".htm", ".pdf", ".src", ".dat",
+    ".csv", ".txt", ".xlsx", ".xls", ".ods", ".json", ".html", ".htm", ".pdf", ".dat",
     ".urdf", ".toml", ".sqlite", ".zip", ".xml", ".dcc", ".doc", ".docx", ".odt", ".rtf", ".md",
     ".xhtml", ".xlsm", ".xlsb", ".tsv", ".jsonl", ".png", ".jpg", ".jpeg", ".svg", ".db",
-    ".script",
 )  # fmt: skip
 STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # of the disk, not the name
 
@@ -52,6 +51,13 @@ def write_whole(path: Path, content: bytes, *, inputs: Iterable[Path] = ()) -> N
     write_together({path: content}, inputs=inputs)
 
 
+def is_known(suffix: str) -> bool:
+    """Whether a suffix, in lower case, is that of a usual format, or of an installed program's."""
+    from importlib.metadata import entry_points  # loads long, and most names are usual
+
+    return suffix in KNOWN or suffix[1:] in entry_points(group="hilcell.programs").names
+
+
 def check_output(
     path: Path, suffixes: tuple[str, ...], what: str, *, inputs: Iterable[Path] = ()
 ) -> None:
@@ -62,7 +68,7 @@ def check_output(
     """
     _mode(path, list(inputs))
     suffix = path.suffix.lower()
-    if suffix in KNOWN and suffix not in suffixes:
+    if suffix not in suffixes and is_known(suffix):
         raise NotWritten(
             f"{path}: the suffix is {suffix}, but the content is {what}; name it "
             f"{path.with_suffix(suffixes[0]).name}"

@@ -21,7 +21,7 @@ import numpy as np
 
 from hilcell import __version__
 from hilcell.arguments import STROKE_MM
-from hilcell.atomic_files import KNOWN, NotWritten, write_together
+from hilcell.atomic_files import NotWritten, is_known, write_together
 from hilcell.calibration.influence import NoBound
 from hilcell.calibration.lost_motion import straight_path
 from hilcell.calibration.tool_point import Tip, tip_named
@@ -457,7 +457,7 @@ class StationJobs:
     @staticmethod
     def _make(folder: Path) -> None:
         """Make a folder, or take an empty one: another job's files would be taken for these."""
-        if folder.suffix.lower() in KNOWN and not folder.exists():
+        if is_known(folder.suffix.lower()) and not folder.exists():
             raise NotWritten(f"{folder} is a file by its name; name a folder, as {folder.stem}")
         if os.path.lexists(folder) and not os.path.isdir(folder):  # noqa: PTH112 - no name raises
             raise NotWritten(f"{folder} is a file; name a folder")

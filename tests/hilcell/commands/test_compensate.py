@@ -19,6 +19,7 @@ from hilcell.calibration.file import write_calibration
 from hilcell.calibration.influence import ASSUMED, Influence, UncertaintyBudget, motion
 from hilcell.cell.file import load_cell
 from hilcell.commands.cli import main
+from hilcell.compensation.programs import suffixes
 from hilcell.compensation.targets import COLUMN, HEADER, Stamp
 from hilcell.geometry.frames import apply, inverse
 from hilcell.programs.holes import NORMALS
@@ -299,9 +300,9 @@ def test_a_program_is_named_as_one_and_is_not_handed_on(plant: Workplace) -> Non
 
 
 def test_a_program_of_no_known_format_is_named(desk: Workplace) -> None:
-    source = desk.folder / "drill.MOD"
-    source.write_text("MODULE drill\n")
-    assert ".mod" in desk.refused(source=source)
+    source = desk.folder / "drill.JBI"
+    source.write_text("/JOB\n")
+    assert ".jbi" in desk.refused(source=source)
 
 
 def test_a_second_make_refuses_in_its_own_words(plant: Workplace) -> None:
@@ -350,7 +351,8 @@ def test_names_of_lists_that_say_nothing_else_are_taken(tmp_path: Path, name: st
 
 
 def test_a_list_is_not_named_like_another_form(desk: Workplace) -> None:
-    assert "out.csv" in desk.refused(out=desk.folder / "out.src")
+    for suffix in suffixes():  # of installed formats
+        assert "out.csv" in desk.refused(out=desk.folder / f"out{suffix}")
     assert "b.csv" in desk.refused("--bounds", desk.folder / "b.xlsx")
     holes = desk.folder / "holes.csv"
     holes.write_text(f"{','.join(NORMALS)}\nH1,0,0,1200,0,0,1\n")
