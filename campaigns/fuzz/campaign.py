@@ -24,7 +24,7 @@ COUNT = 1_000_000
 NAMES = (
     "tracker", "robot", "sdo", "can", "journal-record", "journal-file", "calibration", "cell",
     "krl-program", "holes", "control", "screen", "eki", "rtde", "geocom", "t2sa", "strip",
-    "urscript", "tp-listing",
+    "urscript", "tp-listing", "rapid-module",
 )  # fmt: skip
 SECONDS = 3600  # a parser at most
 _DONE = re.compile(r"Done (\d+) runs in (\d+) second")

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any, cast
 
+from drivers.abb.program_rapid import files as program_rapid
 from drivers.device_errors import ROBOT, ProtocolError
 from drivers.fanuc import program_tp
 from drivers.kuka import robot_eki as eki
@@ -27,6 +28,7 @@ from fakes.kuka.eki_server import BOMB
 from hilcell.clock import WallClock
 from hilcell.errors import HilcellError
 from tests.clocks import DrivenClock
+from tests.drivers.abb.program_rapid.samples import MODULE
 from tests.drivers.fanuc.program_tp.samples import LISTING
 from tests.drivers.universal_robots.program_urscript.samples import SCRIPT
 
@@ -218,6 +220,17 @@ def listing_samples() -> Iterable[bytes]:
     yield LISTING.replace("\n", "\r\n").encode("latin-1")
 
 
+def rapid(data: bytes) -> None:
+    """A RAPID module, and one with its targets moved."""
+    program = program_rapid.read_program("p.mod", data.decode("latin-1"))
+    program.with_positions(program.values() + 1.0, "corrected")
+
+
+def rapid_samples() -> Iterable[bytes]:
+    yield MODULE.encode("latin-1")
+    yield MODULE.replace("\n", "\r\n").encode("latin-1")
+
+
 # Name, how bytes are handed over, what it may raise, samples.
 WIRE_PARSERS = (
     ("eki", documents, (HilcellError,), document_samples),
@@ -227,4 +240,5 @@ WIRE_PARSERS = (
     ("strip", strip_answers, (HilcellError,), strip_samples),
     ("urscript", script, (HilcellError,), script_samples),
     ("tp-listing", listing, (HilcellError,), listing_samples),
+    ("rapid-module", rapid, (HilcellError,), rapid_samples),
 )

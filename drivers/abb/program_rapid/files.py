@@ -122,6 +122,9 @@ def read_program(file: str, text: str) -> Program:
     reader.read()
     if reader.problems:
         raise SettingsError(file, [f"{file} {problem}" for problem in reader.problems])
+    if not reader.targets:
+        none = "no motion to a robtarget with numbers in the module: nothing to correct"
+        raise SettingsError(file, [none])
     return reader.program(text)
 
 
@@ -189,9 +192,8 @@ class _Reader:
 
     @property
     def problems(self) -> list[str]:
-        found = [f"line {line}: {self._problems[line]}" for line in sorted(self._problems)]
-        none = "no motion to a robtarget with numbers: nothing to correct"
-        return found or [none] * (not self.targets)
+        """All that is refused, by line."""
+        return [f"line {line}: {self._problems[line]}" for line in sorted(self._problems)]
 
     def _each(self, act: Callable[[Routine, Statement], None]) -> None:
         for routine, statement in self._all():
