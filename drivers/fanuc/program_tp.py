@@ -222,10 +222,10 @@ class Target:
             raise TpError(f"{name} states {', '.join(other)}, which hilcell does not read")
         return cls(position, numbers, config, frame, tool, external)
 
-    def status(self, arm: Arm) -> int:
-        """Return its posture as the status bits of ``arm``."""
-        letters = "".join(re.findall("[A-Z]", self.config))
-        return next(each for each in range(0, 8, 2) if posture(arm, each) == letters)
+    @property
+    def posture(self) -> str:
+        """Return the letters of its CONFIG."""
+        return "".join(re.findall("[A-Z]", self.config))
 
     @staticmethod
     def _numbered(name: str, key: str, text: str) -> int | None:
@@ -304,7 +304,10 @@ class Program(programs.Program):
         return np.array([[t.numbers[name].value for name in POSE] for t in self.targets])
 
     def statuses(self, expected: int, arm: Arm) -> list[tuple[str, int]]:
-        return [(f"{each.where}, CONFIG {each.config}", each.status(arm)) for each in self.targets]
+        known = {posture(arm, status): status for status in range(0, 8, 2)}  # in front of axis 1
+        return [
+            (f"{each.where}, CONFIG {each.config}", known[each.posture]) for each in self.targets
+        ]
 
     def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> None:
         """Raise `TurnError` naming the positions that ``command`` (N, 6) takes through 180 deg.
@@ -313,7 +316,7 @@ class Program(programs.Program):
         """
         T_B_W = inverse(T_W_B)
         nominal, poses = (T_B_W @ poses_from_zyx(each) for each in (self.values(), command))
-        statuses = np.array([each.status(arm) for each in self.targets])
+        statuses = np.array([status for _, status in self.statuses(0, arm)])
         problems = list[str]()
         for status in np.unique(statuses).tolist():
             at = np.flatnonzero(statuses == status)

@@ -9,6 +9,7 @@ runs), and targets at such points are refused.
 from __future__ import annotations
 
 import csv
+import math
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -340,7 +341,7 @@ class CorrectedPoints:
                         numbers = [float(value) for value in row[1:]]
                     except ValueError:
                         continue
-                    if np.isfinite(numbers).all():
+                    if all(map(math.isfinite, numbers)):
                         stamps.append(row[0])
                         points.append(numbers)
         return stamps, np.array(points).reshape(-1, 4)
