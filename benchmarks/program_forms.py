@@ -31,11 +31,13 @@ def corrected_s(form: Form, points: int, folder: Path) -> tuple[float, int]:
     words = ("compensate", folder / "calibration.json", source, "--station", "S1100", "--cell",
              "paper", "-o", folder / f"out{source.suffix}")  # fmt: skip
     taken = []
-    for _ in range(1 + REPEATS):
+    for n in range(1 + REPEATS):
+        runs = folder / f"runs-{n}"  # each remembers the points that were corrected into it
+        runs.mkdir()
         said = StringIO()
         began_s = time.process_time()
         with redirect_stderr(said):
-            code = hilcell([*map(str, words)])
+            code = hilcell([*map(str, words), "--runs", str(runs)])
         taken.append(time.process_time() - began_s)
         if code:
             raise SystemExit(said.getvalue())
