@@ -71,9 +71,16 @@ def opened(options: Mapping[str, object]) -> Iterator[WebServices]:
 
 
 def identity_of(services: WebServices) -> Identity:
-    """Return the controller's id, the robot's type and the version of RobotWare."""
-    serial = services.value("/ctrl/identity", "ctrl-id")
+    """Return the controller's id, the robot's type and the version of RobotWare.
+
+    A virtual controller, which may have no id, counts as simulated.
+    """
+    states = services.states("/ctrl/identity")
+    stated = {name: clean(value) for state in states for name, value in state.items()}
+    serial = stated.get("ctrl-id", "")
     model = services.value("/rw/system/robottype", "robot-type")
+    if "virtual" in stated.get("ctrl-type", "").casefold():
+        model += " (virtual controller, simulated)"
     software = "RobotWare " + services.value("/rw/system", "rwversion")
     simulated = is_simulated_name(model)
     return Identity(

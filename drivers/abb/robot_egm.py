@@ -573,16 +573,22 @@ class AbbEgmRobot:
     def ratio(self) -> float:
         return self._ratio
 
-    def brake(self, number: int) -> None:
-        """Brake a motion by the module; return at standstill, also while a stop is on."""
-        line, begun_s = ROBOT.connected(self._stop_line), time.monotonic()
+    @property
+    def under_way(self) -> bool:
+        """Whether an order was sent, and its end not read."""
+        return self._moving
+
+    def brake(self) -> None:
+        """Brake the last motion by the module; return at standstill, also while a stop is on."""
+        line, begun_s, number = ROBOT.connected(self._stop_line), time.monotonic(), self._order
         line.set_symbol("hc_brake", str(number))
         before_deg = self._joints_deg(line)
         for _ in polls(REST_S):
             time.sleep(DWELL_S)
             state, now_deg = self._module_state(line), self._joints_deg(line)
             still = bool(np.all(np.abs(now_deg - before_deg) <= np.degrees(STILL_RAD)))
-            if still and (state.done == number or not line.program_runs()):
+            ended = number in (state.done, 0) or state.begun != number
+            if still and (ended or not line.program_runs()):
                 break
             before_deg = now_deg
         else:
@@ -679,7 +685,7 @@ class AbbSweep:
         self.speed_rad_s, self.ended = speed_rad_s, False
         self._robot, self._clock = robot, clock
         self._axis, self._end_rad = axis, end_rad
-        self._number, self._moving = 0, False
+        self._number = 0
 
     def __enter__(self) -> Self:
         """Plan the motion; nothing moves."""
@@ -693,10 +699,10 @@ class AbbSweep:
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         self._robot.watch.stop()
-        if not self._moving:
+        if not self._robot.under_way:
             return
         try:
-            self._robot.brake(self._number)
+            self._robot.brake()
         except DeviceError as failure:
             if error is None:
                 raise
@@ -705,7 +711,6 @@ class AbbSweep:
 
     def kickoff(self) -> None:
         """Start the motion; return when the controller has the order."""
-        self._moving = True
         self._number = self._robot.command(self._target_rad, float(self._planned_s))
 
     def collect(self) -> JointSample:
@@ -720,9 +725,7 @@ class AbbSweep:
         while not self.ended:
             self._clock.wait(AbbEgmRobot.POLL_S)
             self._look()
-        reading = self._robot.rest(self._target_rad)
-        self._moving = False
-        return reading
+        return self._robot.rest(self._target_rad)
 
     def _look(self) -> None:
         if self.ended:

@@ -244,8 +244,10 @@ class WebServices:
             act = "end other clients of the controller's web services; a session ends after minutes"
             return ROBOT.failed("HC-B87", "use", found, expected="a free session", act=act)
         if answer.status == FORBIDDEN:
-            holder = self._holder()
-            return ROBOT.refused("HC-B83", "write", f"{found}; {holder}", expected="mastership")
+            if holder := self._holder():
+                found += f"; mastership is held by: {holder}"
+                return ROBOT.refused("HC-B83", "write", found, expected="mastership")
+            return ROBOT.failed("HC-B03", "use", found, expected="200 or 204")
         if answer.status == NOT_FOUND and "/symbol" in operation:
             expected = f"module {MODULE} in task {TASK}"
             return ROBOT.refused("HC-B86", "use", found, expected=expected)
@@ -254,16 +256,17 @@ class WebServices:
         return ROBOT.failed("HC-B03", "use", found, expected="200 or 204")
 
     def _holder(self) -> str:
-        """Return who has the mastership, as the controller states it."""
+        """Return who has the mastership, as the controller states it; "" for nobody."""
+        names = ("mastership", "application", "location", "alias", "uid")
         try:
-            for state in self.states(self._mastership):
-                if "application" in state or "mastership" in state:
-                    names = ("mastership", "application", "location", "alias", "uid")
-                    parts = [f"{name} {clean(state[name])}" for name in names if state.get(name)]
-                    return f"mastership is held by: {', '.join(parts)}"
+            states = self.states(self._mastership)
         except DeviceError as error:
-            return f"its holder is not known: {error.found}"
-        return "its holder is not known"
+            return f"one who is not known ({error.found})"
+        for state in states:
+            if state.get("mastership", "nomaster") != "nomaster":
+                parts = [f"{name} {clean(state[name])}" for name in names if state.get(name)]
+                return ", ".join(parts)
+        return ""
 
     def _invalid(self, path: str, found: str) -> DeviceError:
         where = f"{self.address}{path.partition('?')[0]}"

@@ -46,6 +46,7 @@ class AbbController:
         self.version = self._arm.program or VERSION
         self.options = ["RobotWare Base", "616-1 PC Interface", "689-1 Externally Guided Motion"]
         self.loaded, self.absolute = True, False
+        self.kind = "Real Controller"
         self.numbers = dict.fromkeys(NUMBERS, 0.0)
         self._target_deg = np.degrees(self._motion.state().joints_rad)
         self._state = [0, 0, 0, 0, 0, 0]  # version, session, life, done, error, begun
@@ -238,6 +239,9 @@ class AbbController:
 
     def _begin(self, number: int) -> None:
         self._state[5], self._state[4] = number, 0
+        if self.numbers["hc_brake"] == number:
+            self._state[4], self._state[3] = BRAKED, number
+            return
         low_deg, high_deg = self._arm.limits_deg.T
         inside = (self._target_deg >= low_deg) & (self._target_deg <= high_deg)
         if not inside.all() or self._faults.strikes("robot.softlimit"):

@@ -212,7 +212,7 @@ class Resources:
             return single[path]
         if path == "/ctrl/identity":
             names = {"ctrl-name": "IRB", "ctrl-id": controller.serial}
-            return [_item("ctrl-identity-info", **names, **{"ctrl-type": "Real Controller"})]
+            return [_item("ctrl-identity-info", **names, **{"ctrl-type": controller.kind})]
         if path == "/rw/system/robottype":
             return [_item("sys-robottype", **{"robot-type": controller.model})]
         if path == "/rw/system":

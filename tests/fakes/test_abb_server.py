@@ -177,7 +177,7 @@ def test_the_stream_runs_with_the_program(robot: Robot) -> None:
         pc.bind(("127.0.0.1", robot.server.stream.port))
         pc.settimeout(5.0)
         start(robot, client)
-        numbers = []
+        numbers: list[int] = []
         while not numbers or numbers[-1] < 100:
             number, shift = 0, 0
             for byte in pc.recv(2048)[3:8]:  # behind the keys of header and number

@@ -213,6 +213,23 @@ def test_mastership_that_the_pendant_holds_is_refused(bench: Bench) -> None:
     assert "FlexPendant" in error.found
 
 
+def test_a_refusal_without_a_holder_is_no_question_of_mastership(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bench.controller, "start", lambda: False)
+    error = refusal(bench.robot().connect)
+    assert (error.code, "403" in error.found) == ("HC-B03", True)
+
+
+def test_a_virtual_controller_counts_as_simulated(bench: Bench) -> None:
+    bench.controller.kind = "Virtual Controller"
+    robot = bench.robot()
+    (identity,) = robot.connect()
+    robot.close()
+    assert identity.simulated
+    assert identity.model.endswith("(virtual controller, simulated)")
+
+
 def test_a_program_that_is_not_ours_is_left_alone(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -486,6 +503,26 @@ def test_a_sweep_that_is_left_is_braked(bench: Bench, robot: AbbEgmRobot) -> Non
         sweep.collect()
     assert not bench.truth.robot.axes_moving
     assert robot.move_to(TARGET, 100.0).still
+
+
+def test_a_sweep_that_is_refused_moves_nothing(bench: Bench, robot: AbbEgmRobot) -> None:
+    def run() -> None:
+        with robot.sweep(0, 0.5, 0.05) as sweep:
+            bench.controller.mode = "MANR"
+            sweep.kickoff()
+
+    error = refusal(run)
+    assert error.code == "HC-B12"
+    assert not hasattr(error, "__notes__")
+    assert not bench.truth.robot.moving
+    bench.controller.mode = "AUTO"
+
+
+def test_a_brake_that_comes_before_its_order_holds(bench: Bench, robot: AbbEgmRobot) -> None:
+    assert bench.controller.write_symbol("hc_brake", "1")
+    robot.command(FAR, 60.0)
+    assert bench.controller.read_symbol("hc_state") == f"[1,{robot._session},{robot._life},1,9,1]"
+    assert not bench.truth.robot.moving
 
 
 # -- commissioning -------------------------------------------------------------------------------

@@ -59,6 +59,12 @@ MODULE hilcell
     VAR num number;
     number:=hc_order;
     hc_state{6}:=number;
+    ! A brake may come before its order.
+    IF hc_brake=number THEN
+      hc_state{5}:=9;
+      hc_state{4}:=number;
+      RETURN;
+    ENDIF
     hc_state{5}:=0;
     hc_heard_s:=ClkRead(hc_clock);
     hc_moves:=TRUE;
