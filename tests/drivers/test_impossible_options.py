@@ -51,6 +51,9 @@ def socketcan(name: str) -> dict[str, str]:
         ("host", robot("kuka-c3", host="")),
         ("host", robot("kuka-eki", host=" ")),
         ("host", robot("ur-rtde", host="/dev/ttyS0")),
+        ("web_services", {"robot.options.web_services": "3"}),
+        ("certificate_sha256", {"robot.options.certificate_sha256": "xyz"}),
+        ("egm_device", {"robot.options.egm_device": "a b"}),
         ("host", tracker("leica-emscon", host="10.0.0.1:7000")),
         ("host", tracker("t2sa", host="http://h")),
         ("port", robot("kuka-c3", port="0")),
@@ -62,7 +65,8 @@ def socketcan(name: str) -> dict[str, str]:
     ],
 )  # fmt: skip
 def test_an_impossible_option_is_refused_by_its_key(key: str, changed: dict[str, str]) -> None:
-    cell = "lab" if changed.get("robot.driver") == "ur-rtde" else "paper"
+    of_abb = key in ("web_services", "certificate_sha256", "egm_device")
+    cell = "abb" if of_abb else "lab" if changed.get("robot.driver") == "ur-rtde" else "paper"
     with pytest.raises(SettingsError) as error:
         check_options(load_cell(cell, changed))
     (problem,) = error.value.problems

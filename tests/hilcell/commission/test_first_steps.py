@@ -90,6 +90,7 @@ def test_an_address_is_asked_for_only_where_none_is_listed(
         ("kuka-c3", "#KR150R2700 EXTRA C4 FLR", ["KR 210 R2700 extra"], "KR 210 R2700 extra", 1),
         ("kuka-c3", "#KR150R2700 EXTRA C4 FLR", ["UR5", "9"], "KR 70 R2100", 1),
         ("ur-rtde", None, ["UR5e"], "UR5e", 1),
+        ("abb-egm", "IRB 6700-235/2.65", [], "IRB 6700-235/2.65", 0),
     ],
 )
 def test_the_kinematics_are_asked_for_only_where_the_controller_states_another_robot(
@@ -109,7 +110,7 @@ def test_the_kinematics_are_asked_for_only_where_the_controller_states_another_r
 
 def test_a_maker_whose_robots_are_not_known_needs_rows_in_the_file() -> None:
     text = CellText()
-    text.set("robot.driver", "abb-egm")
+    text.set("robot.driver", "another-maker")
     work = WhichDevices(Path("hall.toml"), text, TypedDialogue(Queue(), lambda _: None))
     with pytest.raises(HilcellError, match=r"write \[\[robot.joint\]\] into hall.toml"):
         work.kinematics([])
