@@ -127,6 +127,22 @@ def test_a_whole_run_with_one_reflector(tmp_path: Path, cell: Simulation, proced
     assert after == [50.0] + [5.0] * (len(after) - 1)
 
 
+def test_a_tracker_check_with_one_reflector(tmp_path: Path, cell: Simulation) -> None:
+    with carried(cell, tmp_path, "run", "tracker-check") as run:
+        operator = Operator(run, cell)
+        while operator.asked():
+            operator.seats.append(str(operator.prompt().place))
+            operator.seat(operator.seats[-1])
+            assert operator.answer()
+        end = run.rest()
+    assert (end["state"], end["exit"]) == ("finished", 0), end
+    assert operator.seats == ["F1", "F2", "F3", "B1", "B2", "F2", "F3"]  # near is B2
+    result = end["result"]
+    assert [each["nest"] for each in result["tracker_axes"]["nests"]] == ["B2", "F2", "F3"]
+    assert result["tracker_drift"]["points"] == 21
+    assert any("one reflector" in each for each in result["not_checked"])
+
+
 def test_kill_9_during_a_prompt_begins_the_frame_again(tmp_path: Path, cell: Simulation) -> None:
     """All nests of a frame are measured by one engine: nobody knows whether the tracker stood."""
 

@@ -11,7 +11,17 @@ from hilcell.report.facts import read_facts
 from hilcell.report.html import report_html
 from tests.hilcell.report.drawn import assert_apart
 from tests.hilcell.report.pages import Page
-from tests.whole.bench import TOTAL_STATION, command, end_of, events, ran, sets, simulation
+from tests.whole.bench import (
+    TOTAL_STATION,
+    command,
+    cut,
+    end_of,
+    events,
+    judge,
+    ran,
+    sets,
+    simulation,
+)
 
 T2SA = {"tracker.driver": "t2sa"}
 
@@ -67,3 +77,20 @@ def test_a_nest_without_a_reflector_ends_an_unattended_check(tmp_path: Path) -> 
     assert end["error"]["code"] == "HC-T11"
     assert "world/F1" in end["error"]["operation"]
     assert not [each for each in events(done.stdout) if each["kind"] == "verdict"]
+
+
+def test_an_interrupted_series_begins_again_and_nothing_else_does(tmp_path: Path) -> None:
+    whole = ran(tmp_path, "tracker-check")
+    (seq,) = (each["seq"] for each in whole.events if each.get("key") == "steady/1-5/F3")
+    cut(whole.folder, tmp_path / "cut", seq)
+    done = command("resume", "cut", "--unattended", "--json", "--runs", tmp_path)
+    end, printed = end_of(done), events(done.stdout)
+    assert (end["state"], end["exit"]) == ("finished", 0), done.stderr
+    points = [each["key"] for each in printed if each["kind"] == "point"]
+    assert {key.partition("/")[0] for key in points} == {"control", "steady"}
+    assert [key for key in points if key.startswith("steady")] == [
+        f"steady/2-{number}/F3" for number in range(21)
+    ]
+    assert end["result"]["tracker_axes"] == whole.result["tracker_axes"]
+    assert end["result"]["tracker_drift"]["points"] == 21
+    assert judge([*(each for each in whole.events if each["seq"] <= seq), *printed]) == []
