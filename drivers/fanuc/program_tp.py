@@ -98,10 +98,12 @@ class Statement(NamedTuple):
     @property
     def remark(self) -> str | None:
         """Return the text of a remark, None for all else."""
-        match = re.match(r"!|//|--[A-Z]{2}:", self.source, re.IGNORECASE | re.ASCII)
+        match = _REMARK.match(self.source)
         return self.source[match.end() :].strip() if match else None
 
 
+_REMARK = re.compile(r"!|//|--[A-Z]{2}:", re.IGNORECASE | re.ASCII)
+_LINE = re.compile(r"\s*(\d*)\s*:(.*)", re.ASCII)
 _NAMED = re.compile(r"\[([^\[\]:]*):[^\[\]]*\]")
 _TEXT = re.compile(r"'[^']*'|\"[^\"]*\"|(?<=^MESSAGE\[)[^\n]*(?=\])", re.IGNORECASE)
 
@@ -114,7 +116,7 @@ def statements(text: str, line: int) -> Iterator[Statement]:
     """
     begun, parts = 0, list[str]()
     for number, whole in enumerate(text.split("\n"), start=line):
-        match = re.match(r"\s*(\d*)\s*:(.*)", whole, re.ASCII)
+        match = _LINE.match(whole)
         if match is None and not whole.strip():
             continue
         if parts and match is not None and match[1]:
@@ -167,7 +169,7 @@ class Position:
 
 
 _POSITION = re.compile(
-    r"P\[\s*(\d+)\s*(?::\s*\"[^\"\n]*\"\s*)?\]\s*\{((?:[^}']|'[^'\n]*')*)\}\s*;?", re.ASCII
+    r"P\[\s*(\d{1,6})\s*(?::\s*\"[^\"\n]*\"\s*)?\]\s*\{((?:[^}']|'[^'\n]*')*)\}\s*;?", re.ASCII
 )
 _GROUP = re.compile(r"GP(\d+)\s*:", re.ASCII)
 _FIELD = re.compile(r"(\w+)\s*[:=]\s*('[^'\n]*'|[^\s,'][^\n,']*?)(?=\s*(?:,|\n|\Z))", re.ASCII)
@@ -231,7 +233,7 @@ class Target:
     def _numbered(name: str, key: str, text: str) -> int | None:
         if text.upper() == "F":
             return None
-        if not re.fullmatch(r"\d{1,3}", text, re.ASCII):
+        if not (text.isdecimal() and len(text) <= 3):
             raise TpError(f"{name}: {key} {clean(text)} is no number of a frame")
         return int(text)
 
@@ -366,12 +368,12 @@ class Program(programs.Program):
         """Yield lines below the last statement, and their count: all others keep their number."""
         lines, begin = remark_lines(remark), sections(self.text)["MN"].end
         end = "\r\n" if self.text[:begin].endswith("\r\n") else "\n"
-        numbers = re.findall(r"^\s*(\d+)\s*:", self.text[:begin], re.ASCII | re.MULTILINE)
+        numbers = re.findall(r"^\s*(\d{1,9})\s*:", self.text[:begin], re.ASCII | re.MULTILINE)
         first = int(numbers[-1]) + 1 if numbers else 0
         heads = (f"{first + n:4d}:  " if numbers else " :  " for n in range(len(lines)))
         text = "".join(f"{head}{each}{end}" for head, each in zip(heads, lines, strict=False))
         yield Edit(begin, begin, text)
-        if count := re.search(r"^LINE_COUNT\s*=\s*(\d+)", self.text, re.ASCII | re.MULTILINE):
+        if count := re.search(r"^LINE_COUNT\s*=\s*(\d{1,9})\b", self.text, re.ASCII | re.MULTILINE):
             yield Edit(count.start(1), count.end(1), str(int(count[1]) + len(lines)))
 
 
@@ -388,6 +390,7 @@ def remark_lines(text: str) -> list[str]:
 # -- the reader ------------------------------------------------------------------------------------
 
 _MOTION = re.compile(r"[A-Z]\s*PR?\[", re.ASCII)
+_UNSURE = re.compile(r"[A-Z]\s*PR?\[|LBL|JMP|IF|SELECT|FOR|CALL|RUN", re.ASCII)
 _MOVE = re.compile(
     r"([JL])\s*(PR?)\[\s*(.*?)\s*\]\s+"
     rf"(?:(?:{NUMBER}|A?R\[\d+\])\s*(?:%|MM/SEC|CM/MIN|INCH/MIN|DEG/SEC|SEC|MSEC)"
@@ -534,7 +537,7 @@ class _Reader:
 
     def _take(self, statement: Statement) -> None:
         code = statement.code
-        if not self._sure and re.match(r"[A-Z]\s*PR?\[|LBL|JMP|IF|SELECT|FOR|CALL|RUN", code):
+        if not self._sure and _UNSURE.match(code):
             self._sure = statement.line
         if _MOTION.match(code):
             self._motion(statement)
@@ -553,7 +556,7 @@ class _Reader:
         if register == "PR":
             self._home(kind, statement.line, name, "is a register: its place is not known")
             return
-        position = self._positions.get(int(index)) if index.isdecimal() else None
+        position = self._positions.get(int(index)) if re.fullmatch(r"\d{1,6}", index) else None
         if position is None:
             raise TpError(f"{name} is no position of /POS")
         if position.index not in self._targets:
@@ -598,7 +601,7 @@ class _Reader:
             elif not re.fullmatch(r"IF\b.*\bTHEN", code):
                 raise TpError("expected a condition, and JMP or CALL")
         elif match := _FRAME.fullmatch(code):
-            if not match[2].isdecimal():
+            if not (match[2].isdecimal() and len(match[2]) <= 3):
                 raise TpError(f"{match[1]}_NUM is not known before the program runs")
             self._set[match[1]][line] = int(match[2])
         elif match := _CALL.fullmatch(code):

@@ -282,6 +282,17 @@ def test_broken_positions() -> None:
     assert "it is no position" in open_
 
 
+def test_numbers_of_many_digits() -> None:
+    many = 5000 * "9"
+    assert "it is no position" in refusals(listing([L2], position(2) + f"P[{many}]{{\n}};\n"))[0]
+    for statement in (f"L P[{many}] 9mm/sec FINE", f"  UFRAME_NUM={many}"):
+        assert refusals(listing([L2, statement], position(2)))[0].startswith("drill.ls line 6: ")
+    assert "no number of a frame" in refusals(listing([L2], position(2, uf=many)))[0]
+    counted = listing([L2], position(2)).replace("/MN", f"LINE_COUNT = {many};\n/MN")
+    read = read_program("drill.ls", counted)
+    assert many in moved(read, read.values(), "r")
+
+
 def test_every_refusal_is_listed_and_cleaned() -> None:
     found = refusals(listing(["  A\x1b[2J", L2, "  B" + 90 * "+"], position(2)))
     assert [each[:16] for each in found] == ["drill.ls line 5:", "drill.ls line 7:"]
