@@ -67,6 +67,17 @@ def test_a_fault_fails_its_verdict(
     assert alarm in run.done.stderr
 
 
+def test_a_steady_drift_is_no_error_of_the_axes(tmp_path: Path) -> None:
+    with simulation() as cell:
+        cell.strike("tracker.turning", 10_000.0, count=1)  # 10 urad a reading
+        run = ran(tmp_path, "tracker-check", {"simulation.address": cell.control})
+    assert not run.result["tracker_drift"]["holds"]
+    axes = run.result["tracker_axes"]
+    for name in ("collimation", "transit", "index"):
+        adjusted_urad = 3.0  # three sigma of what the simulated maker leaves
+        assert abs(axes[f"{name}_urad"]) <= adjusted_urad + 1.5 * axes[f"{name}_U_urad"]
+
+
 def test_a_nest_without_a_reflector_ends_an_unattended_check(tmp_path: Path) -> None:
     with simulation() as cell:
         cell.strike("tracker.no_reflector", count=0)
