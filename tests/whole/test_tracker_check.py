@@ -68,14 +68,13 @@ def test_a_fault_fails_its_verdict(
 
 
 def test_a_steady_drift_is_no_error_of_the_axes(tmp_path: Path) -> None:
+    sound = ran(tmp_path, "tracker-check", name="sound").result["tracker_axes"]
     with simulation() as cell:
-        cell.strike("tracker.turning", 10_000.0, count=1)  # 10 urad a reading
+        cell.strike("tracker.turning", 3000.0)  # 3 urad a reading
         run = ran(tmp_path, "tracker-check", {"simulation.address": cell.control})
     assert not run.result["tracker_drift"]["holds"]
-    axes = run.result["tracker_axes"]
-    for name in ("collimation", "transit", "index"):
-        adjusted_urad = 3.0  # three sigma of what the simulated maker leaves
-        assert abs(axes[f"{name}_urad"]) <= adjusted_urad + 1.5 * axes[f"{name}_U_urad"]
+    collimation_urad = run.result["tracker_axes"]["collimation_urad"]
+    assert collimation_urad == pytest.approx(sound["collimation_urad"], abs=3.0)
 
 
 def test_a_nest_without_a_reflector_ends_an_unattended_check(tmp_path: Path) -> None:
