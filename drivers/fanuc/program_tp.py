@@ -227,7 +227,7 @@ class Target:
     @property
     def posture(self) -> str:
         """Return the letters of its CONFIG."""
-        return "".join(re.findall("[A-Z]", self.config))
+        return "".join(each for each in self.config if each.isupper())
 
     @staticmethod
     def _numbered(name: str, key: str, text: str) -> int | None:
