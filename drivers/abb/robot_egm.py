@@ -201,8 +201,8 @@ class AbbEgmRobot:
         No sign of life follows, so the module stops the motion where this stop is not taken.
         """
         self._stopped = True
-        if self._stop_line is not None:
-            self._stop_line.send_stop()
+        if (line := self._stop_line) is not None:
+            line.send_stop()
 
     def close(self) -> None:
         """End the program, so that data moves nothing any more, and leave the session.
@@ -373,6 +373,7 @@ class AbbEgmRobot:
         services, stop_line = self.services(), ROBOT.connected(self._stop_line)
         stop_line.operation_mode()  # the stop's connection is open, and its login valid
         self.check_panel(moving=False)
+        self.fresh_position()  # what waits in the stream is of the time before
         self._check_session(self._ask_module(services))
         number = self._order % self.LARGEST + 1
         target = ",".join(f"{each:.6f}" for each in np.degrees(target_rad))

@@ -10,6 +10,8 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from drivers.abb.egm import PositionStream, parse
 from drivers.device_errors import ProtocolError
@@ -79,6 +81,16 @@ def test_an_older_robotware_has_the_header_s_time_alone() -> None:
 def test_other_bytes_are_no_sample(bad: bytes) -> None:
     with pytest.raises(ProtocolError):
         parse(bad)
+
+
+@given(st.binary(max_size=120), st.integers(0, 150))
+def test_any_bytes_are_a_sample_or_refused(noise: bytes, at: int) -> None:
+    whole = datagram()
+    for each in (noise, whole[:at] + noise, whole[:at] + noise + whole[at + len(noise) :]):
+        with contextlib.suppress(ProtocolError):
+            sample = parse(each)
+            assert sample.joints_rad.shape == (6,)
+            assert math.isfinite(sample.device_s)
 
 
 @contextlib.contextmanager

@@ -11,6 +11,8 @@ from importlib import resources
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from drivers.abb.http_channel import Digest, HttpChannel, Login, Trust, parse_head
 from drivers.device_errors import ProtocolError
@@ -49,6 +51,15 @@ def test_a_login_that_is_no_digest(challenge: str) -> None:
 def test_a_head_that_is_no_http(head: bytes) -> None:
     with pytest.raises(ProtocolError):
         parse_head(head)
+
+
+@given(st.binary(max_size=200))
+def test_any_head_is_read_or_refused(noise: bytes) -> None:
+    for head in (noise, b"HTTP/1.1 200 OK\r\n" + noise):
+        with contextlib.suppress(ProtocolError):
+            status, headers = parse_head(head)
+            assert 0 <= status <= 999
+            assert "set-cookie" in headers
 
 
 def requests(wire: socket.socket) -> Iterator[bytes]:
