@@ -123,6 +123,11 @@ class Sessions:
             if self.holder == session:
                 self.holder = ""
 
+    def forget_challenges(self) -> None:
+        """Let every login expire: the next request of each connection is challenged again."""
+        with self._lock:
+            self._nonces.clear()
+
     def challenge(self) -> str:
         nonce = secrets.token_hex(16)
         with self._lock:

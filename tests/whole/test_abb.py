@@ -461,6 +461,15 @@ def test_a_busy_controller_is_asked_again_and_then_refused(
     assert error.code == "HC-B87"
 
 
+def test_a_login_that_has_expired_is_renewed_before_each_motion(
+    bench: Bench, robot: AbbEgmRobot
+) -> None:
+    bench.server.sessions.forget_challenges()
+    assert robot.move_to(TARGET, 100.0).still
+    robot.stop()
+    until(lambda: not bench.controller.running)
+
+
 # -- sweeps --------------------------------------------------------------------------------------
 
 
