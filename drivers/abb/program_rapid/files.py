@@ -188,6 +188,7 @@ class _Reader:
             self._each_joint_target(routine)
         self._pass_on()
         self._each(self._check_uses)
+        self._check_initial_values()
         self._check_external()
 
     @property
@@ -594,6 +595,18 @@ class _Reader:
             value and value[0].start == tokens[at].start and not parameter.may_change
             for parameter, value in called.matched(Arguments.of(tokens[1:-1]))
         )
+
+    def _check_initial_values(self) -> None:
+        """Refuse data that begin with a target's value, in the module or in a routine."""
+        for routine in (None, *self._module.routines.values()):
+            for datum in (routine or self._module).data.values():
+                for token in datum.value:
+                    is_used = token.word in self._elements_of  # of the module
+                    if routine:
+                        is_used = (routine.name, token.word) in self._used_names
+                    if is_used and token.word:
+                        problem = f"{datum.text} begins as {token.text}: its correction would go"
+                        self._problems.setdefault(datum.line, f"{problem} there too")
 
     def _check_frame_use(self, statement: Statement, at: int) -> None:
         token, head = statement.tokens[at], statement.head

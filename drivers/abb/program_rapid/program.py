@@ -73,7 +73,8 @@ class Target:
 
     def status(self, arm: Arm) -> int:
         """Return the status of its posture, as in `hilcell.geometry.inverse`."""
-        return next(status for status in range(8) if cfx_of(status, arm) == self.cfx)
+        is_beyond = (not self.cfx & 2) == bool(arm.sign[2] > 0)
+        return BEHIND * (self.cfx // 4) + BEYOND * is_beyond + FLIPPED * (self.cfx % 2)
 
 
 def cfx_of(status: int, arm: Arm) -> int:

@@ -249,6 +249,14 @@ def test_parameters_of_own_routines_are_what_its_calls_pass() -> None:
         module("PROC At(robtarget p)\nAt p;\nMoveL p,v1,fine,t;\nENDPROC\n")
 
 
+@pytest.mark.parametrize("value", ["p1", "p1.trans", "[p1.trans.x,2,3]"])
+def test_data_that_begin_with_a_target_are_refused(value: str) -> None:
+    data = f"VAR robtarget pX:={value};\n"
+    for said in (refusal(MOVE, data), refusal(data + MOVE)):
+        assert "pX begins as p1: its correction would go there too" in said
+    one(MOVE, data.replace("p1", "p2"))
+
+
 def test_a_local_name_hides_that_of_the_module() -> None:
     own = f"CONST robtarget p1:=[[7,8,9],[1,0,0,0],[0,0,0,0],{NONE}];\n"
     read = module(f"PROC a()\n{own}{MOVE}ENDPROC\nPROC b()\nx:=p1;\nENDPROC\n")
