@@ -25,6 +25,7 @@ from hilcell.geometry.frames import (
 from hilcell.geometry.inverse import refined
 from hilcell.geometry.kinematics import Array, forward
 from hilcell.programs.pose_correction import joint_header, joint_rows
+from tests.drivers.fanuc.program_tp.samples import listing, position
 from tests.hilcell.commands.test_fit import write_dh, write_rows
 from tests.hilcell.commands.workplace import read_corrected
 from tests.hilcell.fit.chains import chain_forward
@@ -266,3 +267,22 @@ def test_a_program_s_posture_is_the_one_that_was_measured(
         assert done.returncode == 0 or "posture" in done.stderr, done.stderr
     assert len(taken) == 1
     assert "postures of its targets were not checked" in fit(folder, *words).stderr  # of a URDF
+
+
+def test_a_listing_s_posture_is_the_one_that_was_measured(
+    folder: Path, urdf: Urdf, tmp_path: Path
+) -> None:
+    """CONFIG has no revolutions of the fit's robot: the letters decide."""
+    write_dh(folder / "robot.toml")
+    T = chain_forward(urdf.chain, drawn(2, 1)) @ pose_from_zyx(0, 0, 120, 0, 0, 0)
+    x, y, z, r, p, w = zyx_from_pose(T)[0]
+    words = ("--tool", "SMR1", "--correct", tmp_path / "p.ls", "-o", tmp_path / "out.ls")
+    taken = []
+    for letters in ("N U T", "N D T", "F U T", "F D T"):
+        stated = position(2, x, y, z, w, p, r, uf=0, config=f"{letters}, 0, 0, 0")
+        (tmp_path / "p.ls").write_text(listing(["L P[2] 100mm/sec FINE"], stated))
+        done = fit(folder, *words, robot="robot.toml")
+        taken += [letters] if done.returncode == 0 else []
+        assert done.returncode == 0 or "posture" in done.stderr, done.stderr
+    assert len(taken) == 1
+    assert "corrected by fit of" in (tmp_path / "out.ls").read_text().replace(" ;\n", "")
