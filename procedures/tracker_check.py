@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +32,7 @@ from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Procedure, Result
 from procedures.plan import measure_s
 from procedures.reflectors import Reflectors
-from procedures.world_frame import WorldFrame
+from procedures.world_frame import ONE_FACE, UNSEEN, WorldFrame
 
 
 class SeenNest(NamedTuple):
@@ -52,7 +53,9 @@ def nests_by_range(cell: Cell) -> list[SeenNest]:
     )
     low_mm, high_mm = cell.tracker.min_range_mm, cell.tracker.max_range_mm
     every = map(SeenNest, nests, np.linalg.norm(places_mm, axis=1).tolist())
-    seen = sorted((each for each in every if low_mm <= each.range_mm <= high_mm), key=_range_mm)
+    seen = sorted(
+        (each for each in every if low_mm <= each.range_mm <= high_mm), key=attrgetter("range_mm")
+    )
     fewest = 3
     if len(seen) < fewest:
         names = ", ".join(each.nest.name for each in seen) or "none"
@@ -65,10 +68,6 @@ def nests_by_range(cell: Cell) -> list[SeenNest]:
     middle_mm = math.sqrt(near.range_mm * far.range_mm)
     middle = min(between, key=lambda each: abs(math.log(each.range_mm / middle_mm)))
     return [near, middle, far]
-
-
-def _range_mm(seen: SeenNest) -> float:
-    return seen.range_mm
 
 
 class Nests(WorldFrame):
@@ -145,12 +144,7 @@ class Axes:
 
 def one_face(cell: Cell) -> str:
     """Return what is not seen in one face, "" where the tracker has two."""
-    if abilities(cell)["tracker_turns_over"]:
-        return ""
-    return (
-        "this tracker's driver does not turn it over: errors of its axes (collimation, transit "
-        "tilt, index) are not seen"
-    )
+    return "" if abilities(cell)["tracker_turns_over"] else f"{ONE_FACE}: {UNSEEN}"
 
 
 class Drift:
@@ -212,7 +206,7 @@ def _not_checked(log: Log) -> Iterator[str]:
     if reason := one_face(log.cell):
         yield reason
     if axes is not None and axes.transit_urad is None:
-        yield ("the nests are at nearly one height: transit tilt and collimation are not separable")
+        yield "the nests are at nearly one height: transit tilt and collimation are not separable"
     if missing := [each for each in DIRECTIONS if each not in directions(log)]:
         yield f"no certified length lies {', nor '.join(missing)}, seen from the tracker"
     if log.cell.layout.by_hand:
@@ -227,7 +221,6 @@ def _not_checked(log: Log) -> Iterator[str]:
 class Row(NamedTuple):
     """A line of the result; a figure without a limit is not judged."""
 
-    what: str
     figure: Figure
     word: str
 
@@ -236,26 +229,26 @@ def rows(result: Result) -> Iterator[Row]:
     for name, kind in (("tracker_axes", AxesJudged), ("tracker_drift", DriftJudged)):
         if name in result:
             for each in typed(result[name], kind).figures:
-                yield Row(each.name, each, "" if each.limit is None else each.outcome.text)
+                yield Row(each, "" if each.limit is None else each.outcome.text)
     ways = typed(result.get("length_directions", {}), dict[str, list[str]])
     way_of = {nests: way for way, every in ways.items() for nests in every}
     for length in typed(result.get("known_lengths", []), list[MeasuredLength]):
         nests = " to ".join(length.nests)
         off_mm = length.found_mm - length.wanted_mm
         figure = Figure(f"length {nests}, {way_of[nests]}", off_mm, U=length.U_mm)
-        yield Row(figure.name, figure, "agrees" if length.holds else "differs")
+        yield Row(figure, "agrees" if length.holds else "differs")
     for one in typed(result.get("reflectors", []), list[MeasuredReflector]):
         figure = Figure(
             f"reflector of {one.place}", math.hypot(one.along_mm, one.across_mm),
             limit=one.limit_mm, U=one.U_mm,
         )  # fmt: skip
-        yield Row(figure.name, figure, "agrees" if one.holds else "differs")
+        yield Row(figure, "agrees" if one.holds else "differs")
 
 
 def table(result: Result) -> Table:
     return Table(
         [
-            Column("figure", lambda row: row.what),
+            Column("figure", lambda row: row.figure.name),
             Column("value", lambda row: _shown(row.figure, row.figure.value)),
             Column("U (k = 2)", lambda row: _shown(row.figure, row.figure.U)),
             Column("limit", lambda row: _shown(row.figure, row.figure.limit)),

@@ -148,6 +148,10 @@ class WorldFrame:
             session.pause(f"the tracker's scale is not the certificate's: {'; '.join(wrong)}")
 
 
+ONE_FACE = "this tracker's driver does not turn it over"
+UNSEEN = "errors of its axes (collimation, transit tilt, index) are not seen"
+
+
 class TwoFaces:
     """Readings in the second face, compared with the newest ones in the first."""
 
@@ -201,11 +205,11 @@ class TwoFaces:
     def left_out(cell: Cell) -> str:
         """Return why the tracker is not turned over; "" where it is."""
         if not abilities(cell)["tracker_turns_over"]:
-            reason = "this tracker's driver does not turn it over"
+            reason = ONE_FACE
         elif cell.layout.by_hand:
             reason = "the reflector is carried by hand"
         elif cell.plan.quick:
             reason = "a quick plan has no time for it"
         else:
             return ""
-        return f"{reason}: errors of its axes (collimation, transit tilt, index) are not seen"
+        return f"{reason}: {UNSEEN}"

@@ -127,17 +127,18 @@ def judged_axes(log: Log) -> AxesJudged | None:
         )
         for n, back in enumerate(backs)
     ]
-    c, i, v = (_known(URAD * size) for size in found.sizes_rad)
-    U_c, U_i, U_v = (_known(URAD * k * u) for u in np.sqrt(np.diag(found.covariance)))
+    c, i, v = (URAD * found.sizes_rad).tolist()
+    U_c, U_i, U_v = (URAD * k * np.sqrt(np.diag(found.covariance))).tolist()
+    separable = not math.isnan(i)
     judged = AxesJudged(
         holds=True,
         nests=nests,
-        collimation_urad=c or 0.0,
-        collimation_U_urad=U_c or 0.0,
-        transit_urad=i,
-        transit_U_urad=U_i,
-        index_urad=v or 0.0,
-        index_U_urad=U_v or 0.0,
+        collimation_urad=c,
+        collimation_U_urad=U_c,
+        transit_urad=i if separable else None,
+        transit_U_urad=U_i if separable else None,
+        index_urad=v,
+        index_U_urad=U_v,
     )
     return decided(judged)
 
@@ -145,10 +146,6 @@ def judged_axes(log: Log) -> AxesJudged | None:
 def front_id(nest: str, number: int) -> PointId:
     """Return the identity of a nest in the first face, before (0) or after (1) the second."""
     return PointId(FRONT, number=number, nest=nest)
-
-
-def _known(value: float) -> float | None:
-    return None if math.isnan(value) else float(value)
 
 
 # -- drift -----------------------------------------------------------------------------------------

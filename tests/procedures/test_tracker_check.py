@@ -93,8 +93,8 @@ def test_sound_trackers_are_not_rejected_and_most_are_accepted(tmp_path: Path) -
 def test_intervals_cover_what_was_injected_and_sound_trackers_pass(
     tmp_path: Path, cell: str
 ) -> None:
-    """Of 240 trackers with axes off by up to 60 urad, and of 240 sound ones."""
-    within, failed, count = np.zeros(3), 0, 240
+    """Of 120 trackers with axes off by up to 60 urad, and of 120 sound ones, each cell."""
+    within, failed, count = np.zeros(3), 0, 120
     names = ("tracker.collimation", "tracker.transit", "tracker.index")
     for seed in range(50_000, 50_000 + count):
         drawn = np.random.default_rng(seed).uniform(-60.0, 60.0, 3).tolist()
@@ -105,8 +105,8 @@ def test_intervals_cover_what_was_injected_and_sound_trackers_pass(
         within += np.abs(urad - 1e6 * true_rad) <= U_urad
         sound, _ = checked(tmp_path, seed, load_cell(cell))
         failed += not all(each.holds for each in sound.verdicts.values())
-    assert np.all(within >= 0.915 * count)  # 95 % less 2.5 sigma
-    assert failed <= 2
+    assert np.all(within >= 0.9 * count)  # 95 % less 2.5 sigma
+    assert failed <= 1
 
 
 def test_a_tracker_that_warms_up_drifts(tmp_path: Path) -> None:
