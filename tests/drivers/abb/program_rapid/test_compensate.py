@@ -17,6 +17,7 @@ from hilcell.programs.drilling import Drilling, WorkPiece, station_program
 from tests.drivers.abb.program_rapid.samples import MODULE, NONE, TURN
 from tests.hilcell.calibration.calibrations import T_W_B, calibration
 from tests.hilcell.commands import workplace
+from tests.hilcell.commands.test_prepare import INSIDE, holes, made, prepare
 from tests.hilcell.compensation.models import level
 from tests.hilcell.lists import write_targets
 
@@ -249,3 +250,17 @@ def test_an_axis_on_a_quarter_turn_switches_the_control_off() -> None:
     sure = abs(np.degrees(program.command.joints_rad[0, 0])) >= 0.01
     assert (b"ConfL\\Off" in content, b"ConfL\\On" in content) == (not sure, sure)
     assert not sure
+
+
+def test_prepare_writes_the_form_that_the_cell_states(tmp_path: Path) -> None:
+    """Its holes are the listed commands, but for the lost motion of the straight path."""
+    made(tmp_path)
+    done = prepare(tmp_path, holes(tmp_path, *INSIDE), "--set", "robot.program=abb-egm")
+    assert done.returncode == 0, done.stderr
+    read = load_program(tmp_path / "out" / "S1100.mod")
+    _, listed, _ = workplace.read_corrected(tmp_path / "out" / "S1100.csv")
+    rows = {each.name: row for each, row in zip(read.targets, read.values(), strict=True)}
+    written = np.array([rows[f"XP{n}"] for n in (1, 2, 3)])
+    np.testing.assert_allclose(written[:, :3], listed[:, :3], atol=0.1)
+    np.testing.assert_allclose(written[:, 3:], listed[:, 3:], atol=1e-5)
+    assert "S1100.mod" in (tmp_path / "out" / "summary.json").read_text()
