@@ -37,7 +37,9 @@ def test_targets_are_the_robtargets_that_motions_use() -> None:
         "pHole{1} (drill.mod line 10)",
         "pHole{2} (drill.mod line 10)",
     ]
-    expected = [[-200, 100.123456, 1000.5], [100.5, -20, 1150.25], [0, 0, 1200], [0, 50, 1200]]
+    expected = np.array(
+        [[-200, 100.123456, 1000.5], [100.5, -20, 1150.25], [0, 0, 1200], [0, 50, 1200]]
+    )
     np.testing.assert_allclose(read.values()[:, :3], expected)
     np.testing.assert_allclose(read.values()[:, 3:], [[0, 75, 0]] * 4, atol=1e-6)
     assert [each.cfx for each in read.targets] == [1] * 4
