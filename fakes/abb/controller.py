@@ -216,7 +216,7 @@ class AbbController:
         self._run()
 
     def _interrupt(self, name: str) -> None:
-        """Run the traps of the module."""
+        """Let the module see a value that was written."""
         if name == "hc_life":
             self._state[2] = int(self.numbers["hc_life"])
             self._timer.set_ms(-self.LIFE_MS)

@@ -87,10 +87,10 @@ def test_nests_without_a_drawing_define_the_frame_where_they_stand(tmp_path: Pat
     bed, _ = hall(tmp_path, apply(T_L_W, at_mm), UNPLACED)
     assert bed.run(COMMISSION_TRACKER) == 0, bed.log().fault
     values = proved(bed)["floor nests"].values
-    found = [Nest(**each) for each in values["layout.floor"]]  # type: ignore[attr-defined]
+    found = [Nest(**each) for each in values["layout.floor"]]
     assert [nest.name for nest in found] == ["N1", "N2", "N3"]
     assert np.allclose([nest.xyz_mm for nest in found], at_mm, atol=2e-3)
-    pose = Pose(**values["tracker.pose"])  # type: ignore[arg-type]
+    pose = Pose(**values["tracker.pose"])
     assert np.allclose(pose.matrix(), CELL.tracker.pose.matrix(), atol=2e-3)
 
 

@@ -17,32 +17,18 @@ MODULE hilcell
   PERS num hc_state{6}:=[0,0,0,0,0,0];
   ! The reflector's centre on the flange, without rotation, and the load.
   PERS tooldata hc_tool:=[TRUE,[[0,0,0],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];
+  CONST num hc_cycle_s:=0.02;
+  CONST num hc_arrived_deg:=0.01;
   LOCAL VAR egmident hc_egm;
-  LOCAL VAR intnum hc_life_seen;
-  LOCAL VAR intnum hc_brake_seen;
-  LOCAL VAR intnum hc_tick;
   LOCAL VAR clock hc_clock;
   LOCAL VAR num hc_heard_s:=0;
-  LOCAL VAR bool hc_moves:=FALSE;
-  LOCAL VAR errnum HC_STOPPED:=-1;
 
   PROC hc_main()
-    BookErrNo HC_STOPPED;
-    hc_moves:=FALSE;
     hc_order:=0;
     hc_brake:=0;
     hc_state:=[hc_version,0,hc_life,0,0,0];
     ClkReset hc_clock;
     ClkStart hc_clock;
-    IDelete hc_life_seen;
-    CONNECT hc_life_seen WITH hc_hear;
-    IPers hc_life,hc_life_seen;
-    IDelete hc_brake_seen;
-    CONNECT hc_brake_seen WITH hc_take_brake;
-    IPers hc_brake,hc_brake_seen;
-    IDelete hc_tick;
-    CONNECT hc_tick WITH hc_check_life;
-    ITimer 0.25,hc_tick;
     EGMReset hc_egm;
     EGMGetId hc_egm;
     EGMSetupUC ROB_1,hc_egm,"default","UCdevice"\Joint;
@@ -50,56 +36,64 @@ MODULE hilcell
     ! The session last: from here on the PC gives orders.
     hc_state{2}:=hc_session;
     WHILE TRUE DO
-      WaitUntil hc_order<>hc_state{4}\PollRate:=0.04;
-      hc_move;
+      hc_hear;
+      IF hc_order<>hc_state{4} hc_move;
+      WaitTime hc_cycle_s;
     ENDWHILE
   ENDPROC
 
+  ! The motion runs beside the program (\Conc), which watches it. Where it is stopped, what is left
+  ! of the path is dropped, and the robot stays.
   PROC hc_move()
     VAR num number;
+    VAR jointtarget goal;
     number:=hc_order;
+    goal:=hc_target;
     hc_state{6}:=number;
+    hc_state{5}:=0;
     ! A brake may come before its order.
     IF hc_brake=number THEN
       hc_state{5}:=9;
       hc_state{4}:=number;
       RETURN;
     ENDIF
-    hc_state{5}:=0;
     hc_heard_s:=ClkRead(hc_clock);
-    hc_moves:=TRUE;
-    MoveAbsJ hc_target\NoEOffs,v1000\T:=hc_seconds,fine,hc_tool;
-    hc_moves:=FALSE;
+    MoveAbsJ\Conc,goal\NoEOffs,v1000\T:=hc_seconds,fine,hc_tool;
+    WHILE hc_state{5}=0 AND NOT hc_at(goal) DO
+      WaitTime hc_cycle_s;
+      hc_hear;
+      IF hc_brake=number THEN
+        hc_halt 9;
+      ELSEIF ClkRead(hc_clock)-hc_heard_s>hc_life_s THEN
+        hc_halt 8;
+      ENDIF
+    ENDWHILE
+    WaitRob\ZeroSpeed;
     hc_state{4}:=number;
-  ERROR (HC_STOPPED)
-    ! A trap has stopped the motion, and has left it by a long jump to here: what is left of the
-    ! path is dropped, the robot stays. Other errors stop the program; the event log has them.
-    ClearPath;
-    StartMove;
-    hc_state{4}:=number;
-    RETURN;
   ENDPROC
 
-  LOCAL TRAP hc_hear
-    hc_heard_s:=ClkRead(hc_clock);
-    hc_state{3}:=hc_life;
-  ENDTRAP
-
-  LOCAL TRAP hc_take_brake
-    IF hc_moves AND hc_brake=hc_state{6} THEN
-      StopMove\Quick;
-      hc_moves:=FALSE;
-      hc_state{5}:=9;
-      RAISE HC_STOPPED;
+  LOCAL PROC hc_hear()
+    IF hc_life<>hc_state{3} THEN
+      hc_heard_s:=ClkRead(hc_clock);
+      hc_state{3}:=hc_life;
     ENDIF
-  ENDTRAP
+  ENDPROC
 
-  LOCAL TRAP hc_check_life
-    IF hc_moves AND ClkRead(hc_clock)-hc_heard_s>hc_life_s THEN
-      StopMove\Quick;
-      hc_moves:=FALSE;
-      hc_state{5}:=8;
-      RAISE HC_STOPPED;
-    ENDIF
-  ENDTRAP
+  LOCAL PROC hc_halt(num why)
+    StopMove\Quick;
+    ClearPath;
+    StartMove;
+    hc_state{5}:=why;
+  ENDPROC
+
+  LOCAL FUNC bool hc_at(jointtarget goal)
+    VAR jointtarget now;
+    now:=CJointT();
+    RETURN Abs(now.robax.rax_1-goal.robax.rax_1)<hc_arrived_deg
+      AND Abs(now.robax.rax_2-goal.robax.rax_2)<hc_arrived_deg
+      AND Abs(now.robax.rax_3-goal.robax.rax_3)<hc_arrived_deg
+      AND Abs(now.robax.rax_4-goal.robax.rax_4)<hc_arrived_deg
+      AND Abs(now.robax.rax_5-goal.robax.rax_5)<hc_arrived_deg
+      AND Abs(now.robax.rax_6-goal.robax.rax_6)<hc_arrived_deg;
+  ENDFUNC
 ENDMODULE

@@ -19,7 +19,8 @@ TEXT = (FOLDER / "rapid" / "hilcell.mod").read_text("ascii")
 def test_the_module_has_the_version_life_and_errors_of_the_driver() -> None:
     assert f"CONST num hc_version:={MODULE_VERSION};" in TEXT
     assert f"CONST num hc_life_s:={HEARTBEAT_TIMEOUT_S:g};" in TEXT
-    assert set(map(int, re.findall(r"hc_state\{5\}:=(\d+)", TEXT))) == {0, LOST, BRAKED}
+    stated = re.findall(r"(?:hc_state\{5\}:=|hc_halt )(\d+);", TEXT)
+    assert set(map(int, stated)) == {0, LOST, BRAKED}
 
 
 def test_each_name_that_the_driver_uses_is_declared() -> None:
@@ -39,11 +40,16 @@ def test_names_are_short_enough_and_lines_ascii() -> None:
 
 def test_blocks_are_closed() -> None:
     code = re.sub(r"!.*", "", TEXT)
-    for begin, end in (("PROC", "ENDPROC"), ("TRAP", "ENDTRAP"), ("MODULE", "ENDMODULE")):
+    for begin, end in (("PROC", "ENDPROC"), ("FUNC", "ENDFUNC"), ("MODULE", "ENDMODULE")):
         begins = len(re.findall(rf"^\s*(?:LOCAL )?{begin} ", code, re.MULTILINE))
         assert begins == len(re.findall(rf"^\s*{end}$", code, re.MULTILINE)) > 0
-    assert len(re.findall(r"\bTHEN$", code, re.MULTILINE)) == code.count("ENDIF")
+    assert len(re.findall(r"^\s*IF .* THEN$", code, re.MULTILINE)) == code.count("ENDIF")
     assert code.count("WHILE") == 2 * code.count("ENDWHILE")
+
+
+def test_nothing_is_raised_where_rapid_ends_the_program() -> None:
+    """RAPID reference manual, RAISE: in a trap it is the system's error handler that takes it."""
+    assert not re.search(r"\b(?:TRAP|RAISE|CONNECT)\b", re.sub(r"!.*", "", TEXT))
 
 
 def test_tool_and_device_are_filled_in() -> None:
