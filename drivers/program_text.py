@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
+from typing import NamedTuple
 
 from hilcell.cell.robot import REFLECTOR
 from hilcell.cell.settings import SettingsError, read_bytes, unreadable
@@ -21,8 +21,7 @@ ASCII = 128  # so many characters
 MARK = "\xef\xbb\xbf"  # the byte order mark of UTF-8, which editors put first
 
 
-@dataclass(frozen=True, slots=True)
-class Number:
+class Number(NamedTuple):
     """A number of the file: its value and the characters ``start`` to ``end`` that state it."""
 
     text: str
@@ -34,8 +33,7 @@ class Number:
         return float(self.text)
 
 
-@dataclass(frozen=True, slots=True)
-class Edit:
+class Edit(NamedTuple):
     """Characters ``start`` to ``end`` of a file and their new text."""
 
     start: int

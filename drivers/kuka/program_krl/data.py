@@ -15,6 +15,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import NamedTuple
 
 from drivers.kuka.krl import POSE
 from drivers.program_text import MARK, Number
@@ -35,18 +36,15 @@ class KrlError(HilcellError):
     """KRL that cannot be read; the message states what, its reader adds where."""
 
 
-@dataclass(frozen=True, slots=True)
-class Token:
-    """``word`` is the text in capitals; ``start`` counts characters from the file's begin."""
+class Token(NamedTuple):
+    """``word`` is the text in capitals, as KRL compares names; ``start`` counts characters from the
+    file's begin.
+    """
 
     kind: str
     text: str
     start: int
-
-    @property
-    def word(self) -> str:
-        """Return the text in capitals, as KRL compares names."""
-        return self.text.upper()
+    word: str
 
     @property
     def end(self) -> int:
@@ -91,7 +89,8 @@ def statements(text: str) -> Iterator[Statement]:
                 yield Statement(line, tuple(found))
             line, found = line + 1, []
         elif kind != "skip":
-            found.append(Token(kind, match.group(), match.start()))
+            code = match.group()
+            found.append(Token(kind, code, match.start(), code.upper()))
     if found:
         yield Statement(line, tuple(found))
 

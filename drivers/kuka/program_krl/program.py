@@ -34,7 +34,7 @@ from drivers.program_text import (
 from hilcell.compensation import programs
 from hilcell.compensation.programs import Places, StatedBase, StatedTool, StationProgram, Stroke
 from hilcell.compensation.targets import Stamp
-from hilcell.geometry.frames import inverse, pose_from_zyx
+from hilcell.geometry.frames import inverse, poses_from_zyx
 from hilcell.geometry.inverse import inverse_kinematics
 from hilcell.geometry.kinematics import Arm
 from hilcell.ports import Array, HilcellError
@@ -122,24 +122,22 @@ class Program(programs.Program):
         bits of S are those of a posture's status in `hilcell.geometry.inverse`.
         """
         T_B_W = inverse(T_W_B)
-        problems = []
-        for target, *values in zip(self.targets, self.values(), command, strict=True):
-            if target.posture is None:
-                continue
-            poses = T_B_W @ np.array([pose_from_zyx(*each) for each in values])
-            joints = inverse_kinematics(arm, poses, target.posture)
-            changed = int(np.bitwise_xor.reduce(turn_of(joints)))
-            degrees = np.degrees(joints)
-            problems += [
-                f"  {target.where}: A{axis + 1} goes from {degrees[0, axis]:.3f} to "
-                f"{degrees[1, axis]:.3f} deg"
-                for axis in range(6)
-                if changed >> axis & 1
-            ]
+        nominal, poses = (T_B_W @ poses_from_zyx(each) for each in (self.values(), command))
+        postures = np.array([-1 if each.posture is None else each.posture for each in self.targets])
+        problems = list[tuple[int, str]]()  # with the targets' numbers
+        for posture in np.unique(postures[postures >= 0]).tolist():
+            at = np.flatnonzero(postures == posture)
+            before_rad = inverse_kinematics(arm, nominal[at], posture)
+            after_rad = inverse_kinematics(arm, poses[at], posture)
+            for n, axis in np.argwhere((before_rad < 0.0) != (after_rad < 0.0)).tolist():
+                before, after = np.degrees([before_rad[n, axis], after_rad[n, axis]])
+                text = f"A{axis + 1} goes from {before:.3f} to {after:.3f} deg"
+                problems.append((at[n], f"  {self.targets[at[n]].where}: {text}"))
         if problems:
             raise TurnError(
                 "the correction takes axes through zero, where T would mean a whole turn; move to "
-                "these points with LIN, or leave out S and T\n" + "\n".join(problems)
+                "these points with LIN, or leave out S and T\n"
+                + "\n".join(text for _, text in sorted(problems))
             )
 
     def misnamed(self, stem: str) -> list[str]:
