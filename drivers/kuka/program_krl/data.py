@@ -14,6 +14,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -133,7 +134,7 @@ KINDS = (*POINTS, *AXES, "FDAT")
 MOST = {"S": 31, "T": 63}  # five bits of status; one bit of turn for each axis
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Datum:
     """One declared value, or one aggregate in a motion: its position and components."""
 
@@ -144,19 +145,22 @@ class Datum:
     tokens: Sequence[Token] = field(repr=False)
     is_global: bool = False
 
+    @cached_property
     def fields(self) -> dict[str, Sequence[Token]]:
         """Return the tokens of each component; raises `KrlError`."""
         return aggregate(self.tokens)
 
+    @cached_property
     def numbers(self) -> dict[str, Number]:
         """Return the pose's six numbers and the external axes'; raises `KrlError`."""
-        fields = self.fields()
+        fields = self.fields
         external = {name: number(name, fields[name]) for name in EXTERNAL if name in fields}
         return pose(self.name, fields) | external
 
+    @cached_property
     def bits(self) -> dict[str, int]:
         """Return S and T where they are stated; raises `KrlError`."""
-        fields = self.fields()
+        fields = self.fields
         return {name: self._bits(name, fields[name]) for name in MOST if name in fields}
 
     @staticmethod

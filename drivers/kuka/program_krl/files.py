@@ -315,7 +315,7 @@ class _Reader:
         name = text_of(target)
         if target[0].text == "{":
             inline = Datum(f"{statement.head} target", "", self._file, statement.line, target)
-            if set(inline.fields()) & set(JOINTS):
+            if set(inline.fields) & set(JOINTS):
                 self._joint_target(statement, inline)
                 return
             self._frames.move(statement.line, clause)
@@ -333,7 +333,7 @@ class _Reader:
     def _joint_target(self, statement: Statement, inline: Datum) -> None:
         """Leave a first motion to all six joints as it is, a home move; refuse any other."""
         stated = f"{statement.head} {quoted(inline.tokens)}"
-        numbers = {name: number(name, each) for name, each in inline.fields().items()}
+        numbers = {name: number(name, each) for name, each in inline.fields.items()}
         if self.targets or statement.head not in self.JOINTWISE or not set(JOINTS) <= set(numbers):
             raise KrlError(self.JOINT_TARGET.format(stated))
         values = {name: each.value for name, each in numbers.items()}
@@ -357,7 +357,7 @@ class _Reader:
         """Return the numbers of a home of the data list; None where they are not known."""
         if name not in self._data.data or name in self._assigned:
             return None
-        fields = self._data.data[name].fields()
+        fields = self._data.data[name].fields
         return {each: number(each, fields[each]).value for each in (*JOINTS, *EXTERNAL)
                 if each in fields}  # fmt: skip
 
@@ -392,7 +392,7 @@ class _Reader:
 
     def _target_of(self, datum: Datum, *, by_joints: bool) -> Target:
         try:
-            numbers, bits = datum.numbers(), datum.bits() if by_joints else {}
+            numbers, bits = datum.numbers, datum.bits if by_joints else {}
         except KrlError as error:
             if datum.file == self._file:
                 raise

@@ -172,7 +172,7 @@ class FrameRule:
 
     def _numbered_by(self, name: str, line: int) -> tuple[Stated, Stated]:
         """Return base and tool of frame data; raises `KeyError`, `KrlError`."""
-        fields = self._data.data[name].fields()
+        fields = self._data.data[name].fields
         tool, base = (
             self._numbered(what, fields[number], line, f"{name}, {number}", by=f" by {name}")
             for what, number in (("tool", "TOOL_NO"), ("base", "BASE_NO"))
@@ -184,7 +184,7 @@ class FrameRule:
         if datum is None or datum.kind != "FDAT":
             raise KrlError(f"works in {name}, whose base and tool are not in the .dat file")
         self._refuse_changed(name)
-        fields = datum.fields()
+        fields = datum.fields
         if "TOOL_NO" not in fields or "BASE_NO" not in fields:
             raise KrlError(f"{name} states no TOOL_NO or no BASE_NO")
         if text_of(fields.get("IPO_FRAME", ())) not in ("", "#BASE"):
@@ -269,7 +269,7 @@ class FrameRule:
         datum = self._data.data.get(key)
         if datum is None or datum.kind not in POINTS:
             raise KrlError(f"{name} is set to {key}, which has no numbers in the .dat file")
-        numbers = pose(f"{name} is set to {key}, which", datum.fields()).values()
+        numbers = pose(f"{name} is set to {key}, which", datum.fields).values()
         return tuple(each.value for each in numbers)
 
     def _refuse_changed(self, name: str) -> None:
