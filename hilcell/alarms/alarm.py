@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Literal
 from hilcell.alarms.catalogue import SEVERITIES, By, Severity, code_of_verdict, entry_of
 from hilcell.decoding import Json
 from hilcell.errors import EXIT_FAULT, EXIT_INTERNAL, EXIT_LOCKED, EXIT_REFUSED, EXIT_STORAGE
+from hilcell.language import tr
 from hilcell.model import events
 from hilcell.model.events import after
 from hilcell.model.records import Change, StateChanged
@@ -52,7 +53,7 @@ class Finding:
     @property
     def text(self) -> str:
         """Return actual and expected value, as one line."""
-        expected = f", expected {line(self.expected)}" if self.expected else ""
+        expected = tr(", expected {what}", what=line(self.expected)) if self.expected else ""
         return line(self.found) + expected
 
     @property
@@ -65,14 +66,14 @@ class Finding:
         at, entry = self.at, entry_of(self.code, self.device)
         severity = self.severity or entry.severity
         # The advice of a specific entry replaces the error's own.
-        steps: list[tuple[str, By]] = [*zip(entry.do, entry.checked_by, strict=True)]
+        steps: list[tuple[str, By]] = [*zip(map(tr, entry.do), entry.checked_by, strict=True)]
         if not entry.specific:
             steps.insert(0, (self.advice, "you"))
         name = quote(line(run))
-        command = f", or `hilcell resume {name}`" if over else ""
+        command = tr(", or {command}", command=f"`hilcell resume {name}`") if over else ""
         following = {
-            "resume": f"Continue: {go_on}{command}.",
-            "new run": "Start a new run: `hilcell run`.",
+            "resume": tr("Continue: {key}{command}.", key=go_on, command=command),
+            "new run": tr("Start a new run: {command}.", command="`hilcell run`"),
         }
         then = "" if severity == "notice" else following.get(entry.then, "")
         steps.append((then, "you"))
@@ -82,10 +83,10 @@ class Finding:
         return Alarm(
             entry.code,
             severity,
-            entry.title,
+            tr(entry.title),
             self.where,
             self.text,
-            entry.means,
+            tr(entry.means),
             tuple(step for step, _ in steps),
             "" if at is None else at.t,
             0 if at is None else at.seq,

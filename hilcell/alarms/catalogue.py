@@ -13,10 +13,11 @@ from typing import Literal
 
 from hilcell.decoding import typed
 from hilcell.errors import HilcellError
+from hilcell.language import marked
 
 Severity = Literal["notice", "warning", "fault"]
 By = Literal["you", "controller"]
-SEVERITIES: tuple[Severity, ...] = ("notice", "warning", "fault")
+SEVERITIES: tuple[Severity, ...] = marked(("notice", "warning", "fault"))
 GROUP = "hilcell.alarms"
 # By device, for codes that no catalogue has: the error's own text and advice are shown.
 UNKNOWN = {"Rail": "HC-R99", "Robot": "HC-B99", "Tracker": "HC-T99", "": "HC-C99"}

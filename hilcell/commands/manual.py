@@ -7,6 +7,7 @@ argument's name is that of a file. ``python -m hilcell.commands.manual`` prints 
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import sys
 from collections import Counter
@@ -26,6 +27,7 @@ from hilcell.commands.console import print_data, print_json
 from hilcell.commands.parser import Parser
 from hilcell.commands.signatures import Completion, Explain
 from hilcell.errors import HilcellError
+from hilcell.language import of_environment, speaking, tr
 
 
 def explain(args: Explain) -> int:
@@ -42,8 +44,9 @@ def explain(args: Explain) -> int:
     if args.json:
         print_json(facts)
     else:
-        steps = (f"  {number}. {step}" for number, step in enumerate(entry.do, start=1))
-        print_data("\n".join([f"{entry.code} {entry.title}", entry.means, *steps]))
+        with speaking(of_environment(os.environ)):
+            steps = (f"  {number}. {tr(step)}" for number, step in enumerate(entry.do, start=1))
+            print_data("\n".join([f"{entry.code} {tr(entry.title)}", tr(entry.means), *steps]))
     return 0
 
 

@@ -11,6 +11,7 @@ from hilcell.commands.console import print_message
 from hilcell.commands.signatures import Tui
 from hilcell.errors import EXIT_INTERNAL, HilcellError
 from hilcell.journal.runs_folder import command_on
+from hilcell.language import of_environment, speaking
 from hilcell.tui.keys import load_keys
 from hilcell.tui.terminal import ASCII, UNICODE, has_colours, has_unicode, is_coerced
 
@@ -41,10 +42,11 @@ def tui(args: Tui) -> int:
         slow=args.slow,
     )
     sys.setswitchinterval(0.0005)  # longest wait of the thread that reads Esc for one that draws
-    app = HilcellApp(options)
-    if app.console.color_system == "standard":
-        app.theme = SIXTEEN
-    app.run()
+    with speaking(of_environment(os.environ)):
+        app = HilcellApp(options)
+        if app.console.color_system == "standard":
+            app.theme = SIXTEEN
+        app.run()
     if app.refused is not None:
         raise app.refused
     if app.return_code:

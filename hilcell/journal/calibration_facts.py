@@ -8,11 +8,12 @@ from typing import Literal
 import msgspec
 
 from hilcell.errors import EXIT_REFUSED
+from hilcell.language import marked
 from hilcell.model.outcome import Outcome
 from hilcell.model.verdicts import VALIDATION, ChangedSince, Judged, PoseTested, Rechecked, Verdict
 
-NOT_JUDGED = ("measured", "done")  # runs without a verdict, and without a point either
-SUSPECTED = "suspected"  # of a run that suspects a cause, alone or behind its outcome
+NOT_JUDGED = marked(("measured", "done"))  # runs without a verdict, and without a point either
+SUSPECTED = marked("suspected")  # of a run that suspects a cause, alone or behind its outcome
 
 Kind = Literal["", "made", "base", "targets", "touch"]
 
@@ -44,12 +45,12 @@ class CalibrationFacts(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def verdict(self) -> str:
         """Return the outcome as text, with a suspected cause."""
-        rechecked = {"valid": "still valid", "update": "updated", "redo": "calibrate again"}
+        rechecked = marked({"valid": "still valid", "update": "updated", "redo": "calibrate again"})
         words = rechecked.get(self.recheck, "")
         if not words and self.outcome is not None:
             words = self.outcome.text
         elif not words and self.kind == "made" and not self.validated:
-            words = "not validated"
+            words = marked("not validated")
         return "; ".join(filter(None, (words, SUSPECTED if self.suspected else "")))
 
 
@@ -105,9 +106,9 @@ def outcome(facts: CalibrationFacts, state: str, code: int | None, points: int) 
     if code is None:
         return ""
     if code == EXIT_REFUSED:  # devices may have connected, nothing moved
-        return "refused"
+        return marked("refused")
     if state == "idle":
-        return "not begun"
+        return marked("not begun")
     if state != "finished":
         return state
     if code and facts.verdict in ("", Outcome.ACCEPTED.text):

@@ -14,6 +14,7 @@ from msgspec.structs import replace
 
 from hilcell.decoding import Json
 from hilcell.journal.log import Log
+from hilcell.language import tr
 from hilcell.model.events import Event, OtherEvent, StepBegun
 from hilcell.model.point import CHECKS, HOLDS, KINDS, SEAT, SIDES, PointId
 from hilcell.model.verdicts import OTHERS, VALIDATION, verdict_title
@@ -41,7 +42,11 @@ def verdict_label(key: str) -> str:
     """Return the label of a verdict's key: *validation at S1100*."""
     if key.startswith(VALIDATION):
         place = key.removeprefix(VALIDATION)
-        return f"validation at {'the other stations' if place == OTHERS else place}"
+        return (
+            tr("validation at the other stations")
+            if place == OTHERS
+            else tr("validation at {station}", station=place)
+        )
     return verdict_title(key)
 
 
@@ -80,7 +85,7 @@ def procedure_label(name: str) -> str:
         "iso9283": "ISO 9283 test",
         "paper": "Paper's campaign",
     }
-    return special.get(name, name.replace("-", " ").capitalize())
+    return tr(special.get(name, name.replace("-", " ").capitalize()))
 
 
 def step_label(name: str, *, has_rail: bool) -> str:
@@ -102,7 +107,7 @@ def step_label(name: str, *, has_rail: bool) -> str:
         "two-face-closing": "Tracker in both faces, at the end",
         "iso9283": "ISO 9283 test",
     } | ({} if has_rail else without_rail)
-    return special.get(name, name.replace("-", " ").capitalize())
+    return tr(special.get(name, name.replace("-", " ").capitalize()))
 
 
 def event_label(event: Event | OtherEvent, log: Log) -> str:

@@ -13,11 +13,12 @@ from msgspec import field, json
 
 from hilcell.decoding import Json
 from hilcell.identity import Identity
+from hilcell.language import marked
 
 Three: TypeAlias = tuple[float, float, float]
 Pair: TypeAlias = tuple[float, float]
 
-NOT_KNOWN = "devices were not all connected, and how they stand is not known"
+NOT_KNOWN = marked("devices were not all connected, and how they stand is not known")
 SUBJECTS = ("key", "station", "run")  # fields that say what an event is about
 URAD = 1e6
 

@@ -12,6 +12,8 @@ from collections.abc import Iterable
 from enum import StrEnum
 from typing import NamedTuple, Self
 
+from hilcell.language import marked
+
 RULE = (
     "guard band: accepted where the figure plus its expanded uncertainty U (k = 2) keeps the limit "
     "(ISO 14253-1; JCGM 106, 8.3.2)"
@@ -38,19 +40,24 @@ class Outcome(StrEnum):
 
     REJECTED = (
         "rejected",
-        "out of tolerance",
-        "fail",
+        marked("out of tolerance"),
+        marked("fail"),
         "out of tolerance, the uncertainty taken off",
         "is above its limit of",
     )
     UNDECIDED = (
         "undecided",
-        "undecided",
+        marked("undecided"),
         "undecided",
         "neither in nor out of tolerance for sure: within the uncertainty of the limit",
         "is not shown to keep its limit of",
     )
-    ACCEPTED = "accepted", "in tolerance", "pass", "in tolerance, the uncertainty added"
+    ACCEPTED = (
+        "accepted",
+        marked("in tolerance"),
+        marked("pass"),
+        "in tolerance, the uncertainty added",
+    )
 
 
 def gravest(outcomes: Iterable[Outcome]) -> Outcome:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
+from hilcell.language import marked, tr
 from hilcell.model.events import ReadingTime, Three
 
 if TYPE_CHECKING:
@@ -47,15 +48,17 @@ class Sent(StrEnum):
 
 
 BOTH = (Sent.BEFORE, Sent.CHOSEN)  # that are compared; the paper's method is measured beside them
-SIDES = {"one_side": "from one side", "random": "from random sides"}
-HOLDS = {"plain": "drive alone", "strip": "by the strip"}
-HOW: dict[str, str] = {  # texts of `PointId.how` and `PointId.direction`
-    Sent.BEFORE: "as sent",
-    Sent.IDW: "paper method",
-    Sent.CHOSEN: "corrected",
-    **SIDES,
-    **HOLDS,
-}
+SIDES = marked({"one_side": "from one side", "random": "from random sides"})
+HOLDS = marked({"plain": "drive alone", "strip": "by the strip"})
+HOW: dict[str, str] = marked(  # texts of `PointId.how` and `PointId.direction`
+    {
+        Sent.BEFORE: "as sent",
+        Sent.IDW: "paper method",
+        Sent.CHOSEN: "corrected",
+        **SIDES,
+        **HOLDS,
+    }
+)
 
 
 class Kind(NamedTuple):
@@ -172,36 +175,36 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True, dict=True):
         measured, if the identity does not say it.
         """
         at = self.station or station
-        where = f" at {at}" if at else ""
-        how = HOW.get(self.how, self.how)
+        where = tr(" at {station}", station=at) if at else ""
+        how = tr(HOW.get(self.how, self.how))
         match self.kind, self.how:
             case "validate", Sent.BEFORE:
-                return f"target {self._counted} {how}{where}"
+                return tr("target {n} {how}{where}", n=self._counted, how=how, where=where)
             case "validate", Sent.IDW:
-                return f"target {self._counted}{where}, {how}"
+                return tr("target {n}{where}, {how}", n=self._counted, how=how, where=where)
             case "validate", _:
-                return f"{how} target {self._counted}{where}"
+                return tr("{how} target {n}{where}", n=self._counted, how=how, where=where)
             case "sign", _:
-                return f"sign check {how}{where}"
-        return f"{self._kind.one} {self._which}".rstrip() + where
+                return tr("sign check {how}{where}", how=how, where=where)
+        return f"{tr(self._kind.one)} {self._which}".rstrip() + where
 
     @property
     def short(self) -> str:
-        how = Sent(self.how).short if self.how in list(Sent) else self.how
+        how = tr(Sent(self.how).short if self.how in list(Sent) else self.how)
         if self.kind in ("validate", "sign"):
-            return f"sign {how}" if self.kind == "sign" else f"{how} {self._counted}"
-        return f"{self._kind.short} {self._which}".rstrip()
+            return f"{tr('sign')} {how}" if self.kind == "sign" else f"{how} {self._counted}"
+        return f"{tr(self._kind.short)} {self._which}".rstrip()
 
     @property
     def counted_with(self) -> str:
         """Plural label of its kind: *targets, corrected*."""
         parts = (
-            self._kind.all,
-            "" if self.place is None else f"place {self.place + 1}",
-            HOW.get(self.how, self.how),
-            HOW.get(self.direction, self.direction),
-            "" if self.axis is None else f"axis {self.axis}",
-            "" if self.seat is None else "other reflectors",
+            tr(self._kind.all),
+            "" if self.place is None else tr("place {place}", place=self.place + 1),
+            tr(HOW.get(self.how, self.how)),
+            tr(HOW.get(self.direction, self.direction)),
+            "" if self.axis is None else tr("axis {axis}", axis=self.axis),
+            "" if self.seat is None else tr("other reflectors"),
         )
         return ", ".join(filter(None, parts))
 
@@ -209,9 +212,11 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True, dict=True):
     def part(self) -> str:
         """Label of its group within a step: *corrected targets at S300*; "" for none."""
         if self.group == CONTROL:
-            return "floor nests" if self.kind == CONTROL else "slide nests"
-        targets = f"{HOW.get(self.how, self.how)} targets " if self.kind == "validate" else ""
-        return f"{targets}at {self.station}" if self.station else targets.rstrip()
+            return tr("floor nests") if self.kind == CONTROL else tr("slide nests")
+        how = tr(HOW.get(self.how, self.how))
+        targets = tr("{how} targets", how=how) if self.kind == "validate" else ""
+        at = tr(" at {station}", station=self.station) if self.station else ""
+        return f"{targets}{at}".lstrip()
 
     @property
     def _kind(self) -> Kind:
@@ -219,7 +224,7 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True, dict=True):
 
     @property
     def _counted(self) -> str:
-        seat = "" if self.seat is None else f", seat {self.seat}"
+        seat = "" if self.seat is None else tr(", seat {seat}", seat=self.seat)
         side = SIGNS.get(self.side, "")
         return ("" if self.number is None else f"{self.number + 1}{side}") + seat
 
@@ -230,8 +235,8 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True, dict=True):
             self.target,
             self.pose,
             "-".join(map(str, self.vertex)),
-            HOW.get(self.direction, self.direction),
-            HOW.get(self.how, self.how),
+            tr(HOW.get(self.direction, self.direction)),
+            tr(HOW.get(self.how, self.how)),
             "" if self.axis is None else f"A{self.axis}",
             "" if self.place is None else f"{self.place + 1}",
             self._counted,

@@ -16,6 +16,7 @@ import msgspec
 from msgspec import field
 
 from hilcell.decoding import Json, typed
+from hilcell.language import marked, tr
 from hilcell.model.outcome import Figure, Outcome
 from hilcell.model.point import PointId
 
@@ -277,7 +278,7 @@ class PoseTested(Verdict, frozen=True, kw_only=True, omit_defaults=True):
     """
 
     keys: ClassVar[tuple[str, ...]] = (ISO,)
-    title: ClassVar[str] = "ISO 9283 test"
+    title: ClassVar[str] = marked("ISO 9283 test")
     ap_mm: float | None = None
     ap_u95_mm: float | None = None
     ap_limit_mm: float | None = None
@@ -343,7 +344,7 @@ class Fitted(Verdict, frozen=True, kw_only=True, omit_defaults=True):
     """
 
     keys: ClassVar[tuple[str, ...]] = ("fit",)
-    title: ClassVar[str] = "choice of the correction"
+    title: ClassVar[str] = marked("choice of the correction")
     method: str
     loocv: dict[str, dict[str, float]]
     reason: str
@@ -362,7 +363,7 @@ class SignChecked(Verdict, frozen=True, kw_only=True):
     """The error of one target as sent and corrected: a wrong sign would double it."""
 
     keys: ClassVar[tuple[str, ...]] = ("sign",)
-    title: ClassVar[str] = "sign check"
+    title: ClassVar[str] = marked("sign check")
     limit: float
     before_mm: float
     corrected_mm: float
@@ -381,7 +382,7 @@ class Rechecked(Verdict, frozen=True, kw_only=True):
     """
 
     keys: ClassVar[tuple[str, ...]] = ("recheck",)
-    title: ClassVar[str] = "re-check"
+    title: ClassVar[str] = marked("re-check")
     verdict: Literal["valid", "update", "redo"]
     drift_mm: float
     drift_u_mm: float
@@ -397,7 +398,7 @@ class Touched(Verdict, frozen=True, kw_only=True):
     """The base was touched at a station."""
 
     keys: ClassVar[tuple[str, ...]] = ("touch",)
-    title: ClassVar[str] = "touch poses"
+    title: ClassVar[str] = marked("touch poses")
     station: str
 
     def _text(self) -> str:
@@ -413,7 +414,7 @@ class Revisited(Verdict, frozen=True, kw_only=True):
     """
 
     keys: ClassVar[tuple[str, ...]] = ("revisits", "revisits.closing")
-    title: ClassVar[str] = "revisited poses"
+    title: ClassVar[str] = marked("revisited poses")
     ratio: float
     limit: float
     suspicion: Suspicion | None
@@ -433,7 +434,7 @@ class LostMotionJudged(Verdict, frozen=True, kw_only=True):
     """Lost motion of axes 1 to 3, by vertices approached from both sides, and its U (k = 2)."""
 
     keys: ClassVar[tuple[str, ...]] = ("reversal",)
-    title: ClassVar[str] = "lost motion of axes 1 to 3"
+    title: ClassVar[str] = marked("lost motion of axes 1 to 3")
     mean_mm: float
     max_mm: float
     points: int
@@ -461,7 +462,7 @@ class Suspected(Verdict, frozen=True, kw_only=True):
     """The causes that a run suspects of all that it compared."""
 
     keys: ClassVar[tuple[str, ...]] = ("suspicions",)
-    title: ClassVar[str] = "suspected causes"
+    title: ClassVar[str] = marked("suspected causes")
     suspected: list[str]
 
     def _text(self) -> str:
@@ -495,7 +496,7 @@ class ChangedSince(Verdict, frozen=True, kw_only=True):
     """The parameters that differ from the calibration of run ``before``, which is in use."""
 
     keys: ClassVar[tuple[str, ...]] = ("since",)
-    title: ClassVar[str] = "changes since the calibration before"
+    title: ClassVar[str] = marked("changes since the calibration before")
     before: str
     suspected: list[str]
     beyond: list[Parameter]
@@ -570,7 +571,7 @@ class FacesCompared(Verdict, frozen=True, kw_only=True):
     """Nests measured in both faces of the tracker."""
 
     keys: ClassVar[tuple[str, ...]] = ("two-face", "two-face.closing")
-    title: ClassVar[str] = "both faces of the tracker"
+    title: ClassVar[str] = marked("both faces of the tracker")
     nests: list[Faces]
     summary: str = field(name="words")
     wrong: list[str]
@@ -710,7 +711,7 @@ class Backlash(Within, frozen=True, kw_only=True):
     """The rail's backlash; fails only where it exceeds its limit by more than U."""
 
     keys: ClassVar[tuple[str, ...]] = ("backlash",)
-    title: ClassVar[str] = "backlash of the rail"
+    title: ClassVar[str] = marked("backlash of the rail")
     of: ClassVar[str] = "backlash"
 
 
@@ -718,7 +719,7 @@ class StripRepeats(Within, frozen=True, kw_only=True):
     """The range of positions at which the strip holds the slide."""
 
     keys: ClassVar[tuple[str, ...]] = ("station-repeatability",)
-    title: ClassVar[str] = "repeatability of a held station"
+    title: ClassVar[str] = marked("repeatability of a held station")
     of: ClassVar[str] = "largest range of positions held by the strip"
 
 
@@ -776,4 +777,4 @@ def verdict_title(key: str) -> str:
     """The subject of a verdict: *re-check*."""
     kind = verdict_type(key)
     title = (kind.title if kind is not None else "") or key.replace("-", " ")
-    return f"{title} at the end" if key.endswith(".closing") else title
+    return tr("{check} at the end", check=tr(title)) if key.endswith(".closing") else tr(title)

@@ -29,6 +29,7 @@ from textual.worker import Worker, WorkerState
 
 from hilcell import __version__
 from hilcell.errors import HilcellError
+from hilcell.language import tr
 from hilcell.sanitize import UNSAFE
 from hilcell.tui.driver import LATE_S, StopDriver, WithoutColours
 from hilcell.tui.keys import ACTIONS, BY_NAME, shown, wait_until_built, wait_until_processed
@@ -64,8 +65,12 @@ class OpeningScreen(BaseScreen):
 
     def begin(self) -> None:
         self.panel("title").show(Content.styled(f"hilcell {__version__}", "bold"))
-        what = f"opening run {self._run} ..." if self._run else "looking for a live run ..."
-        warning = "hilcell is not a safety function: keep the E-stop in reach."
+        what = (
+            tr("opening run {run} ...", run=self._run)
+            if self._run
+            else tr("looking for a live run ...")
+        )
+        warning = tr("hilcell is not a safety function: keep the E-stop in reach.")
         self.panel("what").show(f"{what}\n\n{warning}")
         self.panel("notice").display = False
         super().begin()
@@ -131,7 +136,7 @@ class Palette(CommandPalette):
     ]
 
     def __init__(self) -> None:
-        hint = "what to do?   ^p or Backspace: back   Esc: STOP"
+        hint = tr("what to do?   ^p or Backspace: back   Esc: STOP")
         super().__init__(placeholder=hint, id="--command-palette")
 
     def run_worker(self, *args: Any, **options: Any) -> Worker[Any]:
@@ -178,7 +183,9 @@ class ActionProvider(Provider):
     def _allowed(self) -> list[tuple[str, Callable[[], None]]]:
         app = cast("HilcellApp", self.app)
         allowed = (action for action in ACTIONS if app.allowed(action.name))
-        return [(f"{app.label(a.name)}: {a.help}", partial(app.do, a.name)) for a in allowed]
+        return [
+            (f"{tr(app.label(a.name))}: {tr(a.help)}", partial(app.do, a.name)) for a in allowed
+        ]
 
 
 class RunUpdated(Message):
@@ -374,7 +381,7 @@ class HilcellApp(Application):
         elif trouble and isinstance(self.page, BaseScreen):
             self.page.clear_notice(trouble)
         if was_lost and not view.calibration_lost:
-            self.show_notice("the calibration has its file, calibration.json")
+            self.show_notice(tr("the calibration has its file, calibration.json"))
 
     def _tick(self) -> None:
         from hilcell.tui.session import utc_now
@@ -424,7 +431,7 @@ class HilcellApp(Application):
             self.do_stop()
         elif isinstance(self.screen, BaseScreen) or name == "quit":
             if refused := self.refusal(name):
-                self.show_notice(f"{BY_NAME[name].label}: {refused}")
+                self.show_notice(f"{tr(BY_NAME[name].label)}: {tr(refused)}")
                 return
             if name == "detach" and not self.key_is_deliberate:
                 name = "quit"  # which asks: no scanned code leaves an attended run alone
@@ -443,18 +450,18 @@ class HilcellApp(Application):
             self._close_questions()
             # The key's own thread has stopped already: its engine may be gone by now.
             received = sent or self.open_runs.stop_received
-            notice = "STOP: no engine received it"
+            notice = tr("STOP: no engine received it")
             if received:
-                notice = "STOP sent" if sent else "stopped: the engine has ended"
+                notice = tr("STOP sent") if sent else tr("stopped: the engine has ended")
             if any(session.view.state == "silent" for session in live):
-                notice += ", but it does not answer: use the E-stop"
+                notice += tr(", but it does not answer: use the E-stop")
             self.show_notice(notice, for_now=received)
         elif halted:
-            self.show_notice("commissioning is stopped; nothing moves")
+            self.show_notice(tr("commissioning is stopped; nothing moves"))
         elif len(self.screen_stack) > 2:
             self.pop_screen()
         elif self.session is not None:
-            self.show_notice("STOP: nothing runs here; if anything moves, use the E-stop")
+            self.show_notice(tr("STOP: nothing runs here; if anything moves, use the E-stop"))
 
     def _close_questions(self) -> None:
         while not isinstance(self.screen, BaseScreen):
@@ -495,12 +502,12 @@ class HilcellApp(Application):
             self.exit(0)
         else:
             self._close_questions()
-            again = " Commissioning will repeat its step." if self.commissions else ""
+            again = tr(" Commissioning will repeat its step.") if self.commissions else ""
             self.ask(
-                "A run is live.",
-                "Detach: its engine works on without this screen. Esc stops it, from here, too."
+                tr("A run is live."),
+                tr("Detach: its engine works on without this screen. Esc stops it, from here, too.")
                 + again,
-                "detach",
+                tr("detach"),
                 self.do_detach,
             )
 

@@ -23,6 +23,7 @@ from hilcell.commission.steps import (
 from hilcell.errors import HilcellError
 from hilcell.journal.log import Log
 from hilcell.journal.runs import new_run, read_log
+from hilcell.language import tr
 from hilcell.run.order import Order
 
 Start = Callable[[Path, list[str]], Callable[[], str]]  # an engine; the function waits for its end
@@ -77,7 +78,7 @@ class Work(Dialogue):
             self.progress = Progress(self.path)
             Commissioning(self.path, self, self.operator, self._run).perform(steps)
             self.progress = Progress(self.path)
-            self.outcome = f"{self.questions} questions"
+            self.outcome = tr("{questions} questions", questions=self.questions)
         except HilcellError as error:
             self.outcome = str(error)
         finally:
@@ -103,7 +104,11 @@ class Work(Dialogue):
         self._changed()
 
     def begin(self, step: str, title: str, number: int, of: int) -> None:
-        self.step, self.number, self.title = step, f"step {number} of {of}: {step}", title
+        self.step, self.number, self.title = (
+            step,
+            tr("step {number} of {of}: {step}", number=number, of=of, step=step),
+            title,
+        )
         self.said, self.checks, self.motion = [], (), ""
         self._changed()
 

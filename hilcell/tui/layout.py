@@ -13,6 +13,7 @@ from itertools import chain
 
 from textual.content import Content
 
+from hilcell.language import decimal
 from hilcell.tui.terminal import Glyphs
 
 BLANK = Content("")
@@ -290,7 +291,7 @@ _SHAPES = {
 
 def figure(value_mm: float) -> str:
     """Return a length as it is shown in large digits; dashes for what is no number."""
-    return f"{value_mm:.3f}" if math.isfinite(value_mm) else "-.---"
+    return decimal(f"{value_mm:.3f}") if math.isfinite(value_mm) else "-.---"
 
 
 def large_rows(text: str) -> tuple[str, str, str]:

@@ -20,6 +20,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from textual.content import Content
 
+from hilcell.language import decimal, marked, tr
 from hilcell.ports import Array
 
 ROUNDING = 1e-9  # relative: a step is its own multiple
@@ -250,7 +251,7 @@ class Plot:
     x_ticks: tuple[tuple[float, str], ...]
     series: tuple[Series, ...]
     limits: tuple[float, ...] = ()
-    limit_name: str = "limit"
+    limit_name: str = marked("limit")
     marks: tuple[Mark, ...] = ()
 
     @property
@@ -307,7 +308,7 @@ class _Drawing:
         decimals = self._scale.decimals
         while decimals < self._scale.decimals + 2 and abs(round(value, decimals) - value) > 1e-9:
             decimals += 1  # a limit need not be a step
-        return f"{value + 0.0:.{decimals}f}"
+        return decimal(f"{value + 0.0:.{decimals}f}")
 
     def _column(self, share: float) -> int:
         return int(min(share, 1.0 - 1e-9) * self._width)
@@ -385,13 +386,13 @@ class _Drawing:
 
     def _names(self, lines: list[Bools], words: Bools) -> None:
         """Write the name of each series, and of the limit, at its line, off the other ``words``."""
-        names = [series.name for series in self._plot.series]
+        names = [tr(series.name) for series in self._plot.series]
         styles = [f"bold {series.ink.words}" for series in self._plot.series]
         for row, _ in self._limits[:1]:
             line = np.zeros((self._height, self._width), bool)
             line[row] = True
             names, styles, lines = (
-                [*names, self._plot.limit_name],
+                [*names, tr(self._plot.limit_name)],
                 [*styles, "$foreground"],
                 [*lines, line],
             )

@@ -8,6 +8,7 @@ screen's process alive.
 from __future__ import annotations
 
 import asyncio
+import contextvars
 import gc
 import subprocess
 import sys
@@ -25,6 +26,7 @@ import msgspec
 
 from hilcell.decoding import decoded
 from hilcell.errors import HilcellError
+from hilcell.language import marked, tr
 from hilcell.model.plan import PlannedStep
 from hilcell.run.order import Order
 
@@ -38,11 +40,13 @@ class StartedEngine:
 
     MOST_LINES: ClassVar = 7  # of an engine's log are shown
     EXIT_REASONS: ClassVar = {  # exits that the journal may not hold
-        -SIGTERM: "stopped before anything moved",
-        2: "refused",
-        5: "a defect of hilcell; please report it",
-        6: "another run holds the cell",
-        7: "the journal cannot be written; make room on the disk, or mend the folder's rights",
+        -SIGTERM: marked("stopped before anything moved"),
+        2: marked("refused"),
+        5: marked("a defect of hilcell; please report it"),
+        6: marked("another run holds the cell"),
+        7: marked(
+            "the journal cannot be written; make room on the disk, or mend the folder's rights"
+        ),
     }
 
     process: subprocess.Popen[bytes]
@@ -56,10 +60,10 @@ class StartedEngine:
         recorded = (self.log_file.parent / JOURNAL).is_file()
         if code not in self.EXIT_REASONS and recorded:
             return ""
-        reason = self._last_reason() or self.EXIT_REASONS.get(code, "no reason given")
+        reason = self._last_reason() or tr(self.EXIT_REASONS.get(code, marked("no reason given")))
         if recorded:  # the alarm has the details; under it one line is enough
             reason = reason.partition("\n")[0].rstrip(" :")
-        return f"the engine ended, exit {code}: {reason}"
+        return tr("the engine ended, exit {code}: {reason}", code=code, reason=reason)
 
     @staticmethod
     def new_log(folder: Path) -> BinaryIO:
@@ -159,7 +163,8 @@ async def run_in_thread(work: Callable[P, T], *args: P.args, **facts: P.kwargs) 
             if awaited:
                 future.set_result(result)
 
-    threading.Thread(target=run, name="run_in_thread", daemon=True).start()
+    language = contextvars.copy_context().run
+    threading.Thread(target=language, args=(run,), name="run_in_thread", daemon=True).start()
     return await asyncio.wrap_future(future)
 
 

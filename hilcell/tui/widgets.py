@@ -28,6 +28,7 @@ from textual.visual import RenderOptions, Visual
 from textual.widget import Widget
 from textual.widgets import Input, Static
 
+from hilcell.language import tr
 from hilcell.sanitize import UNSAFE, clean
 from hilcell.tui.layout import Lines
 from hilcell.tui.terminal import to_ascii
@@ -156,7 +157,11 @@ class Choice(TextPanel, can_focus=True):
         self.post_message(self.Turned())
 
     def _draw(self) -> None:
-        count = f"  {self.index + 1} of {len(self.words)}" if len(self.words) > self.MANY else ""
+        count = (
+            "  " + tr("{n} of {planned}", n=self.index + 1, planned=len(self.words))
+            if len(self.words) > self.MANY
+            else ""
+        )
         self.show(f"< {self._labels[self.index]} >{count}")
 
 
@@ -312,7 +317,7 @@ class Table(ScrollView, Generic[T], can_focus=True):
         base, index = self.rich_style, int(self.scroll_offset.y) + y - 1
         columns = [each for each in self.columns if each.is_in(self.size.width)]
         if y == 0:
-            titles = {column: column.title for column in columns}
+            titles = {column: tr(column.title) for column in columns}
             return self._drawn(titles, self.get_component_rich_style("table--head"))
         if not self.rows and y == 1:
             return self._strip([Segment(self._shown(f" {self.empty}"), base)], base)

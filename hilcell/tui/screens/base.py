@@ -17,6 +17,7 @@ from textual.widget import Widget
 from textual.widgets import Input
 
 from hilcell.errors import HilcellError
+from hilcell.language import marked, tr
 from hilcell.run.control import RELEASE, Subject
 from hilcell.tui import process
 from hilcell.tui.keys import BY_NAME, Keymap, shown
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from hilcell.tui.text.alarms import AlarmContext
 
 
-BACK = "back"  # stays in the line of keys at every width
+BACK = marked("back")  # stays in the line of keys at every width
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +145,7 @@ class Application(App[int]):
     def shown_session(self) -> Session:
         """Return the session of the run that is shown; raises `HilcellError` where none is."""
         if self.session is None:
-            raise HilcellError("no run is shown")
+            raise HilcellError(tr("no run is shown"))
         return self.session
 
     def attach(self, folder: Path, process: Popen[bytes] | None = None) -> None:
@@ -156,9 +157,9 @@ class Application(App[int]):
             self.screen.dismiss()
         elif self.live and self.open_runs.background is None:
             self.ask(
-                "A run is live.",
-                "It goes on in the background; Esc still stops it, q shows it again.",
-                "show the other run",
+                tr("A run is live."),
+                tr("It goes on in the background; Esc still stops it, q shows it again."),
+                tr("show the other run"),
                 lambda: self.attach(folder),
             )
         else:
@@ -198,7 +199,7 @@ class Application(App[int]):
         if name in ELSEWHERE and not hasattr(self.page, f"do_{name}"):
             return ELSEWHERE[name]
         if self.commissions and name in ("again", "onward"):
-            return "a step is in work"
+            return tr("a step is in work")
         if self.commissions and name in ("stop", "commission"):
             return ""
         unacknowledged = self.session is not None and self.session.latch.waits()
@@ -234,11 +235,11 @@ class Application(App[int]):
         elif command == "resume":
             from hilcell.tui.text.run import resume_text
 
-            self.ask("Resume this run?", resume_text(view), "resume", self.resume_run)
+            self.ask(tr("Resume this run?"), resume_text(view), tr("resume"), self.resume_run)
         else:
-            what = "The robot and the rail" if view.has_rail else "The robot"
-            text = f"{what} may move at once."
-            self.ask("Go on?", text, "go on", self.proceed)
+            what = tr("The robot and the rail") if view.has_rail else tr("The robot")
+            text = tr("{what} may move at once.", what=what)
+            self.ask(tr("Go on?"), text, tr("go on"), self.proceed)
 
     def proceed(self, until: int = 0) -> None:
         """Let the run go on; ``until``: the last record that was known when it was agreed to."""
@@ -247,9 +248,9 @@ class Application(App[int]):
 
     def do_abort(self) -> None:
         self.ask(
-            "Abort this run?",
-            "The point in flight is finished, then the run ends. It can be resumed later.",
-            "abort",
+            tr("Abort this run?"),
+            tr("The point in flight is finished, then the run ends. It can be resumed later."),
+            tr("abort"),
             lambda: self._command("abort"),
         )
 
@@ -268,12 +269,12 @@ class Application(App[int]):
             from hilcell.tui.text.prompt import lost_devices
 
             lost = lost_devices(session.view)
-            waits = "the tracker measures the reflector in its nest"
+            waits = tr("the tracker measures the reflector in its nest")
             if lost:
-                waits = f"no device is lost; now: {lost}"
-            self.show_notice(f"Enter works once {waits}", for_now=True)
+                waits = tr("no device is lost; now: {lost}", lost=lost)
+            self.show_notice(tr("Enter works once {waits}", waits=waits), for_now=True)
         elif not self.key_is_deliberate:
-            self.show_notice("the key was ignored, as part of a burst of keys: press it alone")
+            self.show_notice(tr("the key was ignored, as part of a burst of keys: press it alone"))
         else:
             choice = prompt.choices[number - 1].name if number else ""
             self.start_task(self._ask_once_more(session, choice))
@@ -284,22 +285,25 @@ class Application(App[int]):
         from hilcell.run.states import retake_refusal
 
         view = self.shown_session.view
-        refused = retake_refusal(view.log, key) if key else "no point is chosen"
+        refused = retake_refusal(view.log, key) if key else tr("no point is chosen")
         point = point_label(key, view.log) if key in view.log.points else key
         if refused:
             self.show_notice(with_labels(refused, view.log))
         elif view.live:
             self.ask(
-                "Re-measure this point?",
-                f"{point}: before the robot's next point; it moves there.",
-                "re-measure",
+                tr("Re-measure this point?"),
+                tr("{point}: before the robot's next point; it moves there.", point=point),
+                tr("re-measure"),
                 lambda: self._command("retake", key=key),
             )
         else:
             self.ask(
-                "Open this run again and re-measure the point?",
-                f"{point}: devices are connected, control points verified; the robot moves.",
-                "re-measure",
+                tr("Open this run again and re-measure the point?"),
+                tr(
+                    "{point}: devices are connected, control points verified; the robot moves.",
+                    point=point,
+                ),
+                tr("re-measure"),
                 lambda: self.resume_run("--retake", key),
             )
 
@@ -348,10 +352,10 @@ class Application(App[int]):
         raise NotImplementedError
 
     async def _ask_once_more(self, session: Session, choice: str) -> None:
-        self.show_notice("the tracker measures once more ...")
+        self.show_notice(tr("the tracker measures once more ..."))
         subject: Subject = {"choice": choice} if choice else {}
         await run_in_thread(session.ask, "answer", **subject)
-        released = "the beam is free: put it on the nest, then take its place"
+        released = tr("the beam is free: put it on the nest, then take its place")
         self.show_notice(released if choice == RELEASE else "")
 
     def _command(self, command: Command, **subject: Unpack[Subject]) -> None:
@@ -476,7 +480,10 @@ class BaseScreen(Screen[None]):
     def all_fixed_keys(cls) -> list[tuple[str, str]]:
         """Return the keys that cannot be rebound, with those of the filter."""
         of_filter = [each for each in cls.in_text_box if each not in cls.fixed]
-        return [*cls.fixed, *((key, f"in the filter: {text}") for key, text in of_filter)]
+        return [
+            *cls.fixed,
+            *((key, tr("in the filter: {text}", text=tr(text))) for key, text in of_filter),
+        ]
 
     def fixed_keys(self) -> Sequence[tuple[str, str]]:
         return self.fixed
@@ -494,14 +501,14 @@ class BaseScreen(Screen[None]):
         view = self.application.view
         if name == "pause" and view is not None:
             if view.prompt is not None:
-                return "answer"
-            words = {"proceed": "go on", "resume": "resume"}
-            return words.get(pause_command(view), "pause")
+                return marked("answer")
+            words = {"proceed": marked("go on"), "resume": marked("resume")}
+            return words.get(pause_command(view), marked("pause"))
         return BY_NAME[name].label
 
     @staticmethod
     def _key_text(key: str, label: str) -> Content:
-        return Content.assemble((key, "bold $on-label on $label-fill"), f" {label}  ")
+        return Content.assemble((key, "bold $on-label on $label-fill"), f" {tr(label)}  ")
 
     @staticmethod
     def _state_of(view: RunView | None) -> tuple[str, bool]:
@@ -531,7 +538,7 @@ class Page(BaseScreen):
 
     def begin(self) -> None:
         self.panel("notice").display = False
-        self.panel("title").show(Content.styled(self.title_text, "bold"))
+        self.panel("title").show(Content.styled(tr(self.title_text), "bold"))
         super().begin()
         first = next(iter(self.query("Table, Input, #body").results(Widget)), None)
         if first is not None and first.focusable:
@@ -557,11 +564,11 @@ class Confirm(ModalScreen[bool]):
     FRAME = 2  # rows of the border
 
     def __init__(
-        self, question: Content, yes: str, no: str = "no", remark: Content | None = None
+        self, question: Content, yes: str, no: str = marked("no"), remark: Content | None = None
     ) -> None:
         super().__init__()
         self._question, style = question, "bold $on-label on $label-fill"
-        answers = (" Enter ", style), f" {yes}   ", (" q ", style), f" {no}"
+        answers = (" Enter ", style), f" {yes}   ", (" q ", style), f" {tr(no)}"
         self._answers = Content.assemble(*answers, *([remark] if remark is not None else []))
 
     def compose(self) -> ComposeResult:

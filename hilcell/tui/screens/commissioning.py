@@ -26,6 +26,7 @@ from hilcell.commission.record import Check
 from hilcell.commission.sequence import STEPS
 from hilcell.commission.steps import checks_of
 from hilcell.errors import HilcellError
+from hilcell.language import marked, tr
 from hilcell.sanitize import clean
 from hilcell.tui.commissioning import Progress, Work
 from hilcell.tui.keys import CHOICE_KEYS
@@ -74,11 +75,11 @@ class CommissionScreen(Page):
     footer = ("stop", "pause", "abort", "again", "onward", "alarms", "interlocks", "log", "quit")
     fixed: ClassVar[tuple[tuple[str, str], ...]] = (
         ("q", BACK),
-        ("▲▼", "choose"),
-        ("Enter", "start, choose an answer, or answer a live run's question"),
-        *((key, f"answer {key} of a live run's question") for key in CHOICE_KEYS),
+        ("▲▼", marked("choose")),
+        ("Enter", marked("start, choose an answer, or answer a live run's question")),
+        *((key, marked("this answer of a live run's question")) for key in CHOICE_KEYS),
     )
-    in_text_box = (("Enter", "answer, or start"), ("Tab", "next field"))
+    in_text_box = (("Enter", marked("answer, or start")), ("Tab", marked("next field")))
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("enter", "enter", show=False),
         *(Binding(key, f"choice({key})", show=False) for key in CHOICE_KEYS),
@@ -104,8 +105,8 @@ class CommissionScreen(Page):
                 )  # fmt: skip
             with Vertical(id="matter"):
                 yield TextPanel("subject")
-                yield from self._field("cell_file", "cell file", "a new file, or one begun")
-                yield from self._field("who_field", "operator", "recorded")
+                yield from self._field("cell_file", tr("cell file"), tr("a new file, or one begun"))
+                yield from self._field("who_field", tr("operator"), tr("recorded"))
                 yield TextPanel("words")
                 yield Table(
                     (
@@ -194,8 +195,10 @@ class CommissionScreen(Page):
         elif self._waits_since != run.log.life[-1].seq:
             self._waits_since = run.log.life[-1].seq
             self._known = run.records[-1].seq
-            reason = run.log.life[-1].change.reason or "paused"
-            self._go_on = Question(f"the run waits: {reason}\nmay it go on?", motion=True)
+            reason = run.log.life[-1].change.reason or tr("paused")
+            self._go_on = Question(
+                tr("the run waits: {reason}\nmay it go on?", reason=reason), motion=True
+            )
         return self._go_on
 
     def _show_banner(self, run: RunView | None, *, asks: bool) -> None:
@@ -248,7 +251,7 @@ class CommissionScreen(Page):
         for row in self.query(".field").results(Widget):
             row.display = work is None
         self._show_answer(question)
-        subject = text.subject_lines(work.number, work.title) if work else section("cell")
+        subject = text.subject_lines(work.number, work.title) if work else section(tr("cell"))
         chosen = dict(question.choices).get(self._table("choices").key, "") if question else ""
         said = text.said_lines(chosen, self.work.said if self.work is not None else [])
         words, checks = self._words(work, question), self._checks(run, work)
@@ -277,7 +280,7 @@ class CommissionScreen(Page):
 
     def _words(self, work: Work | None, question: Question | None) -> Lines:
         if work is not None:
-            shown = question or Question(work.motion or "nothing moves")
+            shown = question or Question(work.motion or tr("nothing moves"))
             return text.question_lines(shown, work.how if question else "")
         outcome = self.work.outcome if self.work is not None else ""
         return text.outcome_lines(self._problem or outcome, self._progress)
@@ -346,11 +349,11 @@ class CommissionScreen(Page):
         if self._works is not None:
             return
         if not cell:
-            self.show_notice("enter the cell file first: a new one, or one begun")
+            self.show_notice(tr("enter the cell file first: a new one, or one begun"))
         elif self.application.open_runs.live:
             self.show_notice(ONE_AT_A_TIME)
         elif not (first or only) and self._progress is not None and not self._progress.next_step:
-            self.show_notice("nothing is left to prove; repeat a step where it is in doubt")
+            self.show_notice(tr("nothing is left to prove; repeat a step where it is in doubt"))
         else:
             operator = clean(self.query_one("#who_field", Input).value)
             self.application.begin_commissioning(Path(cell), operator, first, only)
@@ -384,9 +387,9 @@ class CommissionScreen(Page):
         if question is None or work is None:
             return
         if question.motion and not self.application.key_is_deliberate:
-            self.show_notice("the key was ignored, as part of a burst of keys: press it alone")
+            self.show_notice(tr("the key was ignored, as part of a burst of keys: press it alone"))
         elif question.motion and not self._in_full:
-            self.show_notice("the terminal is too small for all that moves: enlarge it, or Esc")
+            self.show_notice(tr("the terminal is too small for all that moves: enlarge it, or Esc"))
         elif question is not self._go_on:
             work.answer(answer)
             self.show_again()
@@ -396,7 +399,7 @@ class CommissionScreen(Page):
             self.show_again()
         else:
             self.query_one("#answer", Input).value = ""
-            self.show_notice(f"nothing moves: {work.how}")
+            self.show_notice(tr("nothing moves: {how}", how=work.how))
 
     def do_pause(self) -> None:
         """Pause; ask whether a paused run may go on; without a live run, start."""
@@ -418,17 +421,17 @@ class CommissionScreen(Page):
         self._begin_work(first=self._table("steps").key or STEPS[0].name)
 
     def fixed_keys(self) -> Sequence[tuple[str, str]]:
-        starts = ("Enter", "start"), *self.fixed[:2]
+        starts = ("Enter", marked("start")), *self.fixed[:2]
         return self.fixed[:2] if self._works is not None else starts
 
     def label(self, name: str) -> str:
         if name == "pause" and not self.application.live:
-            return "start"
+            return marked("start")
         return super().label(name)
 
     def action_back(self) -> None:
         if self.application.live and self._works is not None:
-            self.show_notice("a step's run is live: Esc stops it")
+            self.show_notice(tr("a step's run is live: Esc stops it"))
         elif len(self.app.screen_stack) > self.FIRST:
             super().action_back()
         else:

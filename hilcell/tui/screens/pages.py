@@ -25,6 +25,7 @@ from hilcell.errors import HilcellError
 from hilcell.journal.index import RunRow
 from hilcell.journal.journal import Record
 from hilcell.journal.labels import in_zone
+from hilcell.language import marked, tr
 from hilcell.model.events import Closing, Connected, Event, LinkCounted, OtherEvent, after
 from hilcell.model.frame import Frame
 from hilcell.model.plan import PlanRecord
@@ -50,7 +51,7 @@ from hilcell.tui.widgets import Column, Table, TextField, TextPanel
 class TextPage(Page):
     """A page of text that scrolls."""
 
-    fixed = (*Page.fixed, ("▲▼", "scroll"))
+    fixed = (*Page.fixed, ("▲▼", marked("scroll")))
 
     def body(self) -> ComposeResult:
         with VerticalScroll(classes="scroll", id="body", can_focus=True):
@@ -68,7 +69,7 @@ class TextPage(Page):
 class AlarmPage(TextPage):
     """Every alarm: its meaning, its place, the steps to take."""
 
-    title_text = "Alarms"
+    title_text = marked("Alarms")
     footer = ("stop", "acknowledge", "pause", "quit")
 
     def text(self, view: RunView | None) -> Content | Lines:
@@ -80,7 +81,7 @@ class AlarmPage(TextPage):
 class InterlockPage(TextPage):
     """The interlocks: each condition of motion, and the last reading of each device."""
 
-    title_text = "Interlocks: conditions before anything moves"
+    title_text = marked("Interlocks: conditions before anything moves")
     footer = ("stop", "pause", "quit")
 
     def text(self, view: RunView | None) -> Content:
@@ -94,7 +95,7 @@ class InterlockPage(TextPage):
 class DetailPage(TextPage):
     """One point, with everything that is known of it."""
 
-    title_text = "One point"
+    title_text = marked("One point")
     footer = ("stop", "pause", "alarms", "retake", "quit")
 
     def __init__(self, key: str) -> None:
@@ -109,13 +110,13 @@ class DetailPage(TextPage):
 
 
 BEGIN = "1970-01-01T00:00:00+00:00"  # before any record is read
-CHOOSE = ("▲▼", "move")
+CHOOSE = ("▲▼", marked("move"))
 
 
 class FilterScreen(BaseScreen):
     """A screen with rows and a filter; ``filter_text`` is the text typed."""
 
-    in_text_box = (("Enter", "to the rows"),)  # from the filter
+    in_text_box = (("Enter", marked("to the rows")),)  # from the filter
     filter_text = ""
 
     def filter_box(self, hint: str) -> Input:
@@ -147,7 +148,7 @@ class FilterScreen(BaseScreen):
 class LogPage(FilterScreen, Page):
     """Element 13: the newest two thousand records; the journal keeps all."""
 
-    title_text = "Event log"
+    title_text = marked("Event log")
     fixed = (*Page.fixed, CHOOSE)
     footer = ("stop", "find", "pause", "quit")
 
@@ -158,11 +159,11 @@ class LogPage(FilterScreen, Page):
 
     def body(self) -> ComposeResult:
         rows = Table(
-            log_columns(BEGIN), attrgetter("seq"), empty="no records", tone=attrgetter("tone")
+            log_columns(BEGIN), attrgetter("seq"), empty=tr("no records"), tone=attrgetter("tone")
         )
         rows.follow = True
         yield rows
-        yield self.filter_box("filter: text of a record")
+        yield self.filter_box(tr("filter: text of a record"))
 
     def begin(self) -> None:
         super().begin()
@@ -189,13 +190,13 @@ class LogPage(FilterScreen, Page):
 class ReportPage(TextPage):
     """Element 17. Both are recomputed from the journal, by the commands of the same names."""
 
-    title_text = "Report"
+    title_text = marked("Report")
     footer = ("stop", "history", "quit")
 
     def __init__(self) -> None:
         super().__init__()
-        self._where = "writing the report ..."
-        self._state = "computing the figures from the journal ..."
+        self._where = tr("writing the report ...")
+        self._state = tr("computing the figures from the journal ...")
         self._figures: Json | None = None
 
     def begin(self) -> None:
@@ -217,7 +218,7 @@ class ReportPage(TextPage):
             text = await process.run_command("show", folder.name, "--json", "--runs", runs)
             self._figures = decoded(text.partition("\n")[0], Json)  # remarks follow
         except (HilcellError, msgspec.DecodeError) as error:
-            self._state = "the figures could not be computed"
+            self._state = tr("the figures could not be computed")
             if isinstance(error, HilcellError):
                 raise
             raise HilcellError(f"hilcell show: no figures in its output: {error}") from error
@@ -229,10 +230,10 @@ class ReportPage(TextPage):
         try:
             await process.run_command("report", folder.name, "--runs", runs, "-o", str(path))
         except Exception:
-            self._where = "the report was not written"
+            self._where = tr("the report was not written")
             self.show_again()
             raise
-        self._where = f"report written: {path}"
+        self._where = tr("report written: {path}", path=path)
         if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
             webbrowser.open(path.as_uri())
         self.show_again()
@@ -268,11 +269,11 @@ class PlotPage(Page):
 
     footer = ("stop", "pause", "alarms", "quit")
     fixed: ClassVar[tuple[tuple[str, str], ...]] = (
-        ("◄ ►", "other plot"),
-        (f"1-{MOST_TABS}", "choose"),
-        ("S", "station"),
-        ("g", "log/linear scale"),
-        ("v", "series on or off"),
+        ("◄ ►", marked("other plot")),
+        (f"1-{MOST_TABS}", marked("choose")),
+        ("S", marked("station")),
+        ("g", marked("log/linear scale")),
+        ("v", marked("series on or off")),
         *Page.fixed,
     )
     BINDINGS: ClassVar[list[BindingType]] = [
@@ -292,7 +293,7 @@ class PlotPage(Page):
 
     def fixed_keys(self) -> Sequence[tuple[str, str]]:
         first, _, *others = self.fixed
-        numbers = [(f"1-{self._count}", "choose")] if self._count > 1 else []
+        numbers = [(f"1-{self._count}", tr("choose"))] if self._count > 1 else []
         return (first, *numbers, *others)
 
     def body(self) -> ComposeResult:
@@ -340,8 +341,8 @@ class PlotPage(Page):
         elif tab.is_log is not None:
             self._choice.turned[self._choice.tab] += 1
         else:
-            why = "its values are not all above zero"
-            self.show_notice(f"this plot has a linear scale only: {why}")
+            why = tr("its values are not all above zero")
+            self.show_notice(tr("this plot has a linear scale only: {why}", why=why))
         self._draw_again()
 
     def _draw_again(self) -> None:
@@ -356,8 +357,14 @@ class PlotPage(Page):
 
 def _outcome(run: RunRow) -> str:
     if run.live:
-        return "LIVE " + run.state
-    return run.verdict.partition(";")[0] or ("engine gone" if run.gone else run.condition)
+        return tr("LIVE ") + tr(run.state)
+    return tr(run.verdict.partition(";")[0] or ("engine gone" if run.gone else run.condition))
+
+
+def _kind(run: RunRow) -> str:
+    if not run.readable:
+        return ""
+    return tr("SIM") if run.simulated else tr("real")
 
 
 def _local(run: RunRow) -> str:
@@ -377,8 +384,7 @@ RUN_COLUMNS: tuple[Column[RunRow], ...] = (  # after the mark; |e| before and af
     Column("procedure", 13, lambda run: run.procedure or run.name[-13:]),
     Column("verdict or state", 16, _outcome),
     Column("operator", 10, attrgetter("operator")),
-    Column("kind", 4, lambda run: ("SIM" if run.simulated else "real") if run.readable else "",
-           least=68),
+    Column("kind", 4, _kind, least=68),
     Column("cell", 10, attrgetter("cell"), least=79),
     Column("points", 6, lambda run: str(run.points or ""), right=True, least=111),
     Column("before", 6, _figure("before_mean_mm", ".3f"), right=True, least=93),
@@ -434,26 +440,45 @@ def log_columns(t: str) -> tuple[Column[RecordRow], ...]:
 def record_text(key: str, fact: Fact) -> str:
     match fact:
         case PlanRecord(seed=seed, machine_seed=machine):
-            own = f", machine {machine}" if machine not in (None, seed) else ""
-            return f"{fact.procedure}, {fact.points} points, seed {seed}{own}"
+            own = tr(", machine {machine}", machine=machine) if machine not in (None, seed) else ""
+            return tr(
+                "{procedure}, {points} points, seed {seed}{own}",
+                procedure=fact.procedure,
+                points=fact.points,
+                seed=seed,
+                own=own,
+            )
         case StateChanged():
-            return f"{fact.machine} is {fact.to}{after(fact.reason)}"
+            return tr(
+                "{machine} is {to}{after}",
+                machine=fact.machine,
+                to=fact.to,
+                after=after(fact.reason),
+            )
         case Point():
-            station = f" at {fact.station}" if fact.station else ""
-            again = ", re-measured" if fact.retaken else ""
+            station = tr(" at {station}", station=fact.station) if fact.station else ""
+            again = tr(", re-measured") if fact.retaken else ""
             return f"{key}{station}{again}"
         case Intended(position_mm=position_mm):
-            place = "" if position_mm is None else f"to {position_mm:.3f} mm"
-            axis = f"axis {fact.axis}" if fact.axis else ""
+            place = (
+                ""
+                if position_mm is None
+                else tr("to {position_mm:.3f} mm", position_mm=position_mm)
+            )
+            axis = tr("axis {axis}", axis=fact.axis) if fact.axis else ""
             return " ".join(filter(None, (fact.action, key, fact.station, axis, place)))
         case Frame():
-            by = f"by {len(fact.points)} points" if fact.points else ""
-            taken_over = f"of calibration {fact.calibration}" if fact.calibration else ""
+            by = tr("by {n} points", n=len(fact.points)) if fact.points else ""
+            taken_over = (
+                tr("of calibration {calibration}", calibration=fact.calibration)
+                if fact.calibration
+                else ""
+            )
             return " ".join(filter(None, (key, by, taken_over)))
         case Verdict():
-            return f"{key} {fact.outcome.text}{after(fact.text)}"
+            return f"{key} {tr(fact.outcome.text)}{after(fact.text)}"
         case Ended():
-            return f"{fact.state}, exit {fact.exit}"
+            return tr("{state}, exit {exit}", state=fact.state, exit=fact.exit)
         case _:
             return _event_text(fact)
 
@@ -466,7 +491,7 @@ def _event_text(event: Event | OtherEvent) -> str:
         case Closing(problems=problems):
             return event.text + after("; ".join(problems.values()))
         case LinkCounted():
-            return f"rail's wire: {event.counts}"
+            return tr("rail's wire: {counts}", counts=event.counts)
         case OtherEvent():
             facts = ", ".join(f"{name} {value}" for name, value in event.fields.items())
             return f"{event.what} {facts}".strip()
@@ -479,9 +504,9 @@ class HistoryPage(FilterScreen, Page):
     TO_COMPARE = 2
     AGAIN_S = 3.0
 
-    title_text = "History"
+    title_text = marked("History")
     footer = ("mark", "compare", "find", "stop", "quit")
-    fixed: ClassVar[tuple[tuple[str, str], ...]] = (*Page.fixed, ("Enter", "open"), CHOOSE)
+    fixed: ClassVar[tuple[tuple[str, str], ...]] = (*Page.fixed, ("Enter", marked("open")), CHOOSE)
 
     def __init__(self) -> None:
         super().__init__()
@@ -492,8 +517,8 @@ class HistoryPage(FilterScreen, Page):
     def body(self) -> ComposeResult:
         mark = Column[RunRow]("", 1, lambda run: "*" * (run.name in self._marked))
         columns = (mark, *RUN_COLUMNS)
-        yield Table(columns, attrgetter("name"), empty="reading the index ...", tone=run_tone)
-        yield self.filter_box("filter: words, state:faulted, operator:ann, -word")
+        yield Table(columns, attrgetter("name"), empty=tr("reading the index ..."), tone=run_tone)
+        yield self.filter_box(tr("filter: words, state:faulted, operator:ann, -word"))
 
     def begin(self) -> None:
         """Read the index off the thread that takes keys."""
@@ -515,7 +540,7 @@ class HistoryPage(FilterScreen, Page):
         finally:
             self._reading = False
         if self.is_shown:
-            self.query_one(Table).empty = "no such run"
+            self.query_one(Table).empty = tr("no such run")
             self.filter_rows()
 
     def filter_rows(self) -> None:
@@ -523,7 +548,7 @@ class HistoryPage(FilterScreen, Page):
 
         runs = [run for run in self._runs if matches(run, self.filter_text)]
         self.query_one(Table).show_rows(runs)
-        title = f"History: {len(runs)} of {len(self._runs)} runs; errors in mm"
+        title = tr("History: {n} of {all} runs; errors in mm", n=len(runs), all=len(self._runs))
         self.panel("title").show(Content.styled(title, "bold"))
 
     def on_table_row_selected(self, message: Table.RowSelected) -> None:
@@ -542,7 +567,10 @@ class HistoryPage(FilterScreen, Page):
     def do_compare(self) -> None:
         if len(self._marked) != self.TO_COMPARE:
             self.show_notice(
-                f"mark two runs with {shown(self.application.keymap['mark'][0])} first"
+                tr(
+                    "mark two runs with {key} first",
+                    key=shown(self.application.keymap["mark"][0]),
+                )
             )
             return
         first, second = sorted(self._marked)
@@ -567,7 +595,7 @@ CHANGE_COLUMNS: tuple[Column[Change], ...] = (
 class ComparePage(Page):
     """Shows the output of `hilcell compare` for two runs."""
 
-    title_text = "Comparison"
+    title_text = marked("Comparison")
     footer = ("stop", "quit")
 
     def __init__(self, first: str, second: str) -> None:
@@ -579,7 +607,7 @@ class ComparePage(Page):
         yield Table(
             CHANGE_COLUMNS,
             lambda change: f"{change.place}/{change.what}",
-            empty="reading both journals ...",
+            empty=tr("reading both journals ..."),
             tone=lambda change: "fault" if change.verdict == "beyond" else "",
         )
 
@@ -594,7 +622,7 @@ class ComparePage(Page):
             comparison = decoded(await process.run_command(*command), Compared)
         except HilcellError:
             if self.is_shown:
-                self.query_one(Table).empty = "nothing to compare"
+                self.query_one(Table).empty = tr("nothing to compare")
                 self.query_one(Table).refresh()
             raise
         if self.is_shown:

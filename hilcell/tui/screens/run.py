@@ -13,6 +13,7 @@ from textual.content import Content
 from textual.widgets import Input
 
 from hilcell.alarms import Latched
+from hilcell.language import marked, tr
 from hilcell.tui.keys import CHOICE_KEYS, shown
 from hilcell.tui.layout import Drawing, Lines, Stack, ends
 from hilcell.tui.plots import Scale
@@ -51,10 +52,10 @@ class RunScreen(FilterScreen):
 
     footer = ("stop", "quit")  # while a filter is typed
     fixed: ClassVar[tuple[tuple[str, str], ...]] = (
-        ("▲▼", "choose a point"),
-        ("Enter", "open the point, or answer the question"),
-        *((key, f"answer {key} of the question, where it has some") for key in CHOICE_KEYS),
-        ("q", "back from the points to the verdict or the alarm, or to the run behind"),
+        ("▲▼", marked("choose a point")),
+        ("Enter", marked("open the point, or answer the question")),
+        *((key, marked("this answer of the question, where it has some")) for key in CHOICE_KEYS),
+        ("q", marked("back from the points to the verdict or the alarm, or to the run behind")),
     )
     HORIZONTAL_BREAKPOINTS = [  # noqa: RUF012 - as Textual has it
         (100, "-beside"),  # the map is beside the points
@@ -94,8 +95,10 @@ class RunScreen(FilterScreen):
                     yield TextPanel(name)
                 yield PromptBox(id="prompt")
                 yield AlarmBox(id="alarm")
-                yield Table(point_columns(), attrgetter("key"), empty="no points yet", id="points")
-                yield self.filter_box("filter: words of name, station or state")
+                yield Table(
+                    point_columns(), attrgetter("key"), empty=tr("no points yet"), id="points"
+                )
+                yield self.filter_box(tr("filter: words of name, station or state"))
                 yield TextPanel("status")
                 yield TextPanel("below")
             yield TextPanel("side")
@@ -193,7 +196,10 @@ class RunScreen(FilterScreen):
             return Stack(context.line(standing, skip=1), newest_line(view))
         if standing:
             return context.line(standing)
-        return ends((f"{context.glyphs.stale} no alarms", "$label"), RunText(view).following())
+        return ends(
+            (f"{context.glyphs.stale} {tr('no alarms')}", "$label"),
+            RunText(view).following(),
+        )
 
     def _show_deviation(self, view: RunView, rows: int) -> None:
         table, known = self.query_one(Table), self._table.deviation
@@ -243,10 +249,10 @@ class RunScreen(FilterScreen):
         self._rows = self._table.rows(view.log)
         order = {"bad_only": self.bad_only, "worst": self.worst_first}
         matching = filtered(self._rows, self.filter_text, **order)
-        rows.empty = "no such point" if self.filter_text else "no points yet"
+        rows.empty = tr("no such point") if self.filter_text else tr("no points yet")
         if self.bad_only and view.log.points:
             all_key = shown(self.application.keymap["bad"][0])
-            rows.empty = f"no such point is bad; {all_key} shows all"
+            rows.empty = tr("no such point is bad; {all_key} shows all", all_key=all_key)
         rows.follow = not self.worst_first
         shown_rows = [
             replace(each, state="waits") if each.key in waiting else each for each in matching
@@ -276,9 +282,9 @@ class RunScreen(FilterScreen):
 
     def label(self, name: str) -> str:
         if name == "sort":
-            return "as measured" if self.worst_first else "worst first"
+            return marked("as measured") if self.worst_first else marked("worst first")
         if name == "bad":
-            return "all" if self.bad_only else "bad only"
+            return marked("all") if self.bad_only else marked("bad only")
         return super().label(name)
 
     def key_line(self) -> Content:

@@ -28,6 +28,7 @@ from hilcell.cell.file import Cell, load_cell
 from hilcell.errors import HilcellError
 from hilcell.journal.labels import procedure_label, step_label, with_labels
 from hilcell.journal.log import Log
+from hilcell.language import marked, tr
 from hilcell.run.order import Attendance, Order
 from hilcell.sanitize import clean, harmless
 from hilcell.tui import process
@@ -84,19 +85,23 @@ class StartScreen(BaseScreen):
     """The fields on the left, the plan on the right; nothing moves before a yes."""
 
     FIELDS = (  # name, first entry, hint; the procedure comes after the cell
-        ("cell", "paper", "a built-in cell, or a TOML file"),
-        ("operator", "", "recorded in the journal"),
-        ("job", "", "recorded in the journal"),
-        ("seed", "", "of random targets"),
-        ("from", "", "re-calibrate: RUN or current"),
+        (marked("cell"), "paper", marked("a built-in cell, or a TOML file")),
+        (marked("operator"), "", marked("recorded in the journal")),
+        (marked("job"), "", marked("recorded in the journal")),
+        (marked("seed"), "", marked("of random targets")),
+        (marked("from"), "", marked("re-calibrate: RUN or current")),
     )
-    WATCHED = ("yes, I am here", "no, unattended")
+    WATCHED = (marked("yes, I am here"), marked("no, unattended"))
     SPEEDS = ("max", "100", "10", "1")
     VIEWS = ("history", "commission", "theme", "help", "quit")  # in the footer's second row
     QUIET_S = 0.4  # without a change, before the plan is computed
 
     footer = ("help", "history", "commission", "theme", "quit")
-    fixed = in_text_box = (("Enter", "start"), ("Tab", "next field"), ("▲▼", "choose"))
+    fixed = in_text_box = (
+        ("Enter", marked("start")),
+        ("Tab", marked("next field")),
+        ("▲▼", marked("choose")),
+    )
     HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (77, "-planned")]  # noqa: RUF012 - as Textual has it
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("down", "turn(1)", show=False, priority=True),  # in the order typed
@@ -120,11 +125,11 @@ class StartScreen(BaseScreen):
             with Vertical(id="fields"):
                 yield TextPanel("who")
                 yield from self._fields(self.FIELDS[:1])
-                names = self._names or ["none is installed"]
-                yield from self._choice("procedure", names, [*map(procedure_label, names)])
+                names = self._names or [tr("none is installed")]
+                yield from self._choice(marked("procedure"), names, [*map(procedure_label, names)])
                 yield from self._fields(self.FIELDS[1:])
-                yield from self._choice("attended", self.WATCHED)
-                yield from self._choice("speed", self.SPEEDS)
+                yield from self._choice(marked("attended"), self.WATCHED, [*map(tr, self.WATCHED)])
+                yield from self._choice(marked("speed"), self.SPEEDS)
                 yield TextPanel("checks")
             yield TextPanel("plan")
         yield TextPanel("before")
@@ -137,9 +142,9 @@ class StartScreen(BaseScreen):
     def _fields(self, fields: tuple[tuple[str, str, str], ...]) -> ComposeResult:
         for name, value, hint in fields:
             with Horizontal(classes="field"):
-                yield Label(name)
+                yield Label(tr(name))
                 begin = self.application.options.cell if name == "cell" else value
-                yield TextField(begin, placeholder=hint, id=name)
+                yield TextField(begin, placeholder=tr(hint), id=name)
 
     def begin(self) -> None:
         self.panel("notice").display = False
@@ -159,7 +164,7 @@ class StartScreen(BaseScreen):
         taken = len(before.lines(self.line_width)) + 6 if self._is_roomy else 4
         rows = self.app.size.height - taken
         self.panel("banner").show(checked.banner(glyphs))
-        self.panel("who").show(section("what and who"))
+        self.panel("who").show(section(tr("what and who")))
         self.panel("checks").styles.max_height = max(rows - len(self.FIELDS) - 4, 1)
         self.panel("checks").show(checked.check_lines(glyphs))
         self.panel("plan").styles.max_height = rows
@@ -170,7 +175,7 @@ class StartScreen(BaseScreen):
         speed = self.query_one("#speed", Choice).value
         self.panel("end").show(checked.end_line(speed))
         summary = self._summaries.get(self.query_one("#procedure", Choice).value, "")
-        self.panel("summary").show(ends((summary, "$label"), ""))
+        self.panel("summary").show(ends((tr(summary), "$label"), ""))
         self._show_summary()
         self.panel("keys").show(self.key_line())
 
@@ -264,7 +269,7 @@ class StartScreen(BaseScreen):
         try:
             plan = await process.dry_run(self.order(entries))
         except HilcellError as error:
-            refused = str(error) or "refused without a reason"
+            refused = str(error) or tr("refused without a reason")
         cell = await run_in_thread(self._cell_of, entries.cell, self.application.options.settings)
         if change != self._changes or not self.is_shown:
             return  # of earlier fields
@@ -290,7 +295,7 @@ class StartScreen(BaseScreen):
         if self.app.screen is not self:
             return  # left meanwhile
         if plan is None:
-            self.show_notice("not started: see the checks")
+            self.show_notice(tr("not started: see the checks"))
             return
         order = self.order(entries)
         self.app.push_screen(
@@ -308,7 +313,7 @@ class StartScreen(BaseScreen):
     @staticmethod
     def _choice(name: str, words: Sequence[str], labels: Sequence[str] = ()) -> ComposeResult:
         with Horizontal(classes="field"):
-            yield Label(name)
+            yield Label(tr(name))
             yield Choice(words, name, labels)
 
     @staticmethod
@@ -326,17 +331,17 @@ class PlanSummary(Confirm):
     """The question before the start: the plan in short."""
 
     def __init__(self, order: Order, plan: process.DryRun) -> None:
-        mark = (" SIMULATION ", "bold $on-sim on $sim-fill") if plan.simulated else ""
+        mark = (tr(" SIMULATION "), "bold $on-sim on $sim-fill") if plan.simulated else ""
         moved = Content.assemble("\n", mark, " " * plan.simulated, moves(has_rail=plan.rail))
-        super().__init__(self.text(order, plan), "start", "back", moved)
+        super().__init__(self.text(order, plan), tr("start"), tr("back"), moved)
 
     @staticmethod
     def text(order: Order, plan: process.DryRun) -> Content:
         unattended = order.attendance.unattended
         who = (
-            "unattended: a question is a fault"
+            tr("unattended: a question is a fault")
             if unattended
-            else "attended: an operator answers questions"
+            else tr("attended: an operator answers questions")
         )
         notes = [
             f"{step_label(step.name, has_rail=plan.rail)}: {words}\n"
@@ -345,10 +350,25 @@ class PlanSummary(Confirm):
             if words
         ]
         return Content.assemble(
-            (f"Start {procedure_label(plan.procedure)} on cell {plan.cell}?\n", "bold $ask"),
-            f"job {order.job or '-'}, operator {order.operator or '-'}\n",
-            f"{len(plan.steps)} steps, {plan.points} points, "
-            f"{duration(plan.duration_s)} of the cell's time\n",
+            (
+                tr(
+                    "Start {procedure} on cell {cell}?\n",
+                    procedure=procedure_label(plan.procedure),
+                    cell=plan.cell,
+                ),
+                "bold $ask",
+            ),
+            tr(
+                "job {job}, operator {operator}\n",
+                job=order.job or "-",
+                operator=order.operator or "-",
+            ),
+            tr(
+                "{n} steps, {points} points, {time} of the cell's time\n",
+                n=len(plan.steps),
+                points=plan.points,
+                time=duration(plan.duration_s),
+            ),
             *notes,
             f"{who}.\n",
         )
@@ -386,9 +406,9 @@ class Checked:
         return self.plan is None or self.plan.rail
 
     def banner(self, glyphs: Glyphs) -> Lines:
-        blocks = [badge(f"{glyphs.stale} NEW RUN"), badge("NOTHING OPENED")]
+        blocks = [badge(f"{glyphs.stale} {tr('NEW RUN')}"), badge(tr("NOTHING OPENED"))]
         left = Content(" ").join([*blocks, *([simulation_block()] if self.simulated else [])])
-        nothing = Fitting((Content.styled("nothing moves before you start", "$label"),))
+        nothing = Fitting((Content.styled(tr("nothing moves before you start"), "$label"),))
         return Grid([(left, nothing)], Col(), Col(right=True, grows=True))
 
     def plan_lines(self, glyphs: Glyphs) -> Lines:
@@ -398,7 +418,7 @@ class Checked:
         """
         plan = self.plan
         if plan is None:
-            return self._without_plan("plan", glyphs)
+            return self._without_plan(tr("plan"), glyphs)
         whole = [*enumerate(plan.steps, start=1)]
 
         def draw(width: int, height: int) -> list[Content]:
@@ -412,31 +432,35 @@ class Checked:
                 takes = duration(step.duration_s) if step.duration_s else "-"
                 rows.append([f"{n:>2} {name}", str(step.points or "-"), takes, ""])
             if len(shown) < len(steps):
-                rows.append([f"   {len(steps) - len(shown)} more steps", "", "", ""])
+                rows.append([tr("   {n} more steps", n=len(steps) - len(shown)), "", "", ""])
             total = str(plan.points), duration(plan.duration_s)
             rows.append(
-                [(f"   all {len(whole)} steps", "bold"), *((each, "bold") for each in total), ""]
+                [
+                    (tr("   all {n} steps", n=len(whole)), "bold"),
+                    *((each, "bold") for each in total),
+                    "",
+                ]
             )
             columns = Col(grows=True), Col(8, right=True), Col(8, right=True), Col(1)
-            heading = section("plan", "points    takes").lines(width)
+            heading = section(tr("plan"), tr("points    takes")).lines(width)
             return [*heading, *Grid(rows, *columns).lines(width)]
 
         return Drawing(draw)
 
     def check_lines(self, glyphs: Glyphs) -> Lines:
         if self.plan is None:
-            return self._without_plan("checks", glyphs)
-        checks = ["cell file and options are valid"]
-        checks += ["poses in reach, in limits, in sight"] if self.plan.points else []
-        checks += ["the slide's path is clear"] if self.has_rail else []
+            return self._without_plan(tr("checks"), glyphs)
+        checks = [tr("cell file and options are valid")]
+        checks += [tr("poses in reach, in limits, in sight")] if self.plan.points else []
+        checks += [tr("the slide's path is clear")] if self.has_rail else []
         done = [Content.assemble((f"{glyphs.fresh} ", "$passed"), words) for words in checks]
-        at = "" if self.at is None else f" at {self.at:%H:%M}"
-        return Stack(section("checks", f"{len(checks)} of {len(checks)}{at}"), *done)
+        at = "" if self.at is None else tr(" at {at:%H:%M}", at=self.at)
+        return Stack(section(tr("checks"), tr("{n} of {n}", n=len(checks)) + at), *done)
 
     def _without_plan(self, title: str, glyphs: Glyphs) -> Lines:
         """Return each line of a refusal whole, where there are rows enough; else its beginning."""
         if not self.refused:
-            return Stack(section(title), ("  being checked ...", "$label"))
+            return Stack(section(title), (tr("  being checked ..."), "$label"))
         rows = [
             ((glyphs.warned, "bold $ask"), harmless(text)) for text in self.refusal_lines if text
         ]
@@ -446,16 +470,16 @@ class Checked:
             lines = whole.lines(width)
             return lines if not height or len(lines) < height else cut.lines(width)
 
-        return Stack(section(title, "refused"), Drawing(draw))
+        return Stack(section(title, tr("refused")), Drawing(draw))
 
     @property
     def refusal_lines(self) -> list[str]:
         """Return the lines of a refusal, with procedure, steps and points in words."""
         first, *rest = map(str.strip, self.refused.splitlines() or [""])
-        name, refused, why = first.partition(" refused before anything moves")
+        name, refused, why = first.partition(marked(" refused before anything moves"))
         if not refused:
             return [first, *rest]
-        lines = [f"{procedure_label(name)}{refused}{why}"]
+        lines = [f"{procedure_label(name)}{tr(refused)}{why}"]
         for line in rest:
             step, colon, reason = line.partition(": ")
             words = step_label(step, has_rail=self.has_rail) if colon else step
@@ -463,37 +487,45 @@ class Checked:
         return lines
 
     def before_lines(self, *, attended: bool) -> Lines:
-        words = ["Cell empty, guard closed, E-stop in reach."]
+        words = [tr("Cell empty, guard closed, E-stop in reach.")]
         if self.cell is not None and self.cell.layout.by_hand:
-            words.append("One reflector, clean: you are asked when to carry it, and where.")
+            words.append(tr("One reflector, clean: you are asked when to carry it, and where."))
         elif self.cell is not None:
             layout = self.cell.layout
             few: list[str] = []
             for group in filter(None, (layout.floor, layout.bar, layout.slide)):
                 names = [nest.name for nest in group]
-                few.append(" ".join(names) if len(names) <= 4 else f"{names[0]} to {names[-1]}")
-            words.append(f"Reflectors in {', '.join(few)}, clean; one on the tool.")
-        words.append("Tracker on for two hours at least; doors closed.")
+                few.append(
+                    " ".join(names)
+                    if len(names) <= 4
+                    else tr("{first} to {last}", first=names[0], last=names[-1])
+                )
+            words.append(tr("Reflectors in {few}, clean; one on the tool.", few=", ".join(few)))
+        words.append(tr("Tracker on for two hours at least; doors closed."))
         if not attended:
-            words.append("Unattended: a question waits for an answer, then ends the run.")
+            words.append(tr("Unattended: a question waits for an answer, then ends the run."))
         rows = ((("•", "$label"), each) for each in words)
-        return Stack(section("before you start"), Grid(rows, Col(), Col(grows=True)))
+        return Stack(section(tr("before you start")), Grid(rows, Col(), Col(grows=True)))
 
     @property
     def start_line(self) -> Lines:
         """Return the key that starts, grey while it would not, and what will move."""
         if self.plan is None:
-            why = "does nothing: the plan is refused" if self.refused else "asks once it is checked"
+            why = (
+                tr("does nothing: the plan is refused")
+                if self.refused
+                else tr("asks once it is checked")
+            )
             grey = Content.assemble((" Enter ", "$stale on $badge"), (f" {why}", "$stale"))
             return ends(grey, "")
-        words = "robot and rail will move" if self.has_rail else "robot will move"
+        words = tr("robot and rail will move") if self.has_rail else tr("robot will move")
         key = Content.styled(" Enter ", "bold $on-ask on $ask-fill")
-        line = key.append(Content.styled(f" start: {words}", "bold"))
+        line = key.append(Content.styled(tr(" start: {words}", words=words), "bold"))
         if not self.simulated:
             return ends(line, "")
-        only = Content.styled(" in simulation only: ", "$sim")
+        only = Content.styled(tr(" in simulation only: "), "$sim")
         whole = Content("").join([line, only, simulation_block()])
-        short = Content("").join([key, Content.styled(" start: ", "bold"), simulation_block()])
+        short = Content("").join([key, Content.styled(tr(" start: "), "bold"), simulation_block()])
         return Grid([[Fitting((whole, short))]], Col(grows=True))
 
     def end_line(self, speed: str) -> Content:
@@ -502,6 +534,11 @@ class Checked:
             return BLANK
         duration_s = self.plan.duration_s
         if self.simulated and speed != "1":
-            return Content.styled(f"takes {duration(duration_s)} of the cell's time", "$label")
+            return Content.styled(
+                tr("takes {time} of the cell's time", time=duration(duration_s)),
+                "$label",
+            )
         end = self.at + timedelta(seconds=duration_s)
-        return Content.styled(f"ends about {end:%H:%M}, if nothing has to wait", "$label")
+        return Content.styled(
+            tr("ends about {end:%H:%M}, if nothing has to wait", end=end), "$label"
+        )

@@ -12,30 +12,35 @@ from typing import TYPE_CHECKING
 
 from textual.content import Content
 
+from hilcell.language import marked, tr
+
 if TYPE_CHECKING:
     from hilcell.tui.run_view import RunView
 
 
-POINTS, HISTORY = "only where the points are listed", "only in the history"
-STEPS = "only in commissioning"
+POINTS, HISTORY = marked("only where the points are listed"), marked("only in the history")
+STEPS = marked("only in commissioning")
 ELSEWHERE = {  # actions of certain screens: the refusal on all others
     "bad": POINTS,
     "sort": POINTS,
     "retake": POINTS,
-    "find": "only where there are rows to filter",
+    "find": marked("only where there are rows to filter"),
     "mark": HISTORY,
     "compare": HISTORY,
     "again": STEPS,
     "onward": STEPS,
 }
-ONE_AT_A_TIME = "a run is live: stop, abort or detach from it first"
-NOT_LIVE = "no run is live"
+ONE_AT_A_TIME = marked("a run is live: stop, abort or detach from it first")
+NOT_LIVE = marked("no run is live")
 NO_ANSWER_REASONS = {
-    "looking": "the run is being read",
-    "checking": "the engine starts",
-    "silent": "the engine does not answer",
+    "looking": marked("the run is being read"),
+    "checking": marked("the engine starts"),
+    "silent": marked("the engine does not answer"),
 }
-AT_REST = {"stopping": "the run is being stopped", "done": "the run is over"} | NO_ANSWER_REASONS
+AT_REST = {
+    "stopping": marked("the run is being stopped"),
+    "done": marked("the run is over"),
+} | NO_ANSWER_REASONS
 
 
 def pause_command(view: RunView | None) -> str:
@@ -61,7 +66,7 @@ def refusal(name: str, view: RunView | None, *, background: bool, unacknowledged
             return "" if live or background else NOT_LIVE
         case "abort":
             if view is None or not live:
-                return "go back to the live run first" if background else NOT_LIVE
+                return marked("go back to the live run first") if background else NOT_LIVE
             return no_answer_reason(view)
         case "new" | "commission" | "again" | "onward":
             return ONE_AT_A_TIME if live or background else ""
@@ -69,15 +74,15 @@ def refusal(name: str, view: RunView | None, *, background: bool, unacknowledged
     if name not in (*acts, *pages, "plots", "bad", "sort"):
         return ""
     if view is None or view.log.plan is None:
-        return "no run is open"
+        return marked("no run is open")
     match name:
         case "retake":
             waits = no_answer_reason(view) if live else ONE_AT_A_TIME if background else ""
-            return waits if view.log.points else "no point is measured yet"
+            return waits if view.log.points else marked("no point is measured yet")
         case "pause":
             return _pause_refusal(view, background=background)
         case "acknowledge":
-            return "" if unacknowledged else "every alarm is acknowledged"
+            return "" if unacknowledged else marked("every alarm is acknowledged")
     return ""
 
 
@@ -98,15 +103,17 @@ VIEWS = {
     "sort": 5, "bad": 3, "find": 5, "plots": 5, "interlocks": 5,
     "alarms": 6, "log": 4, "report": 6, "history": 4, "help": 4,
 }  # fmt: skip
-WORDS = {  # by label: shorter here
-    "worst first": "worst",
-    "as measured": "order",
-    "bad only": "bad",
-    "filter": "find",
-    "interlocks": "locks",
-    "history": "runs",
-}
-PALETTE_KEY, EVERY_ACTION = "^p", "every action"
+WORDS = marked(  # by label: shorter here
+    {
+        "worst first": "worst",
+        "as measured": "order",
+        "bad only": "bad",
+        "filter": "find",
+        "interlocks": "locks",
+        "history": "runs",
+    }
+)
+PALETTE_KEY, EVERY_ACTION = "^p", marked("every action")
 # These stay, beside STOP, where there is no room for all.
 NARROW = ("pause", "acknowledge", "alarms", "help")
 FULL_WIDTH = 79
@@ -123,7 +130,7 @@ class FooterKey:
     def drawn(self, word: int = 0, pad: str = "") -> Content:
         """Return key and word, the word in a room of so many columns."""
         style = "bold $foreground on $badge" if self.works else "$stale"
-        key, shown = f"{pad}{self.key}{pad}", f" {self.word:<{word}}"
+        key, shown = f"{pad}{self.key}{pad}", f" {tr(self.word):<{word}}"
         return Content.assemble((key, style), (shown, "" if self.works else "$stale"))
 
 
@@ -131,7 +138,7 @@ def footer_lines(state: Callable[[str], FooterKey], width: int) -> Content:
     """Return both rows; ``state`` tells each action's key, word and whether it works."""
     stop = state("stop")
     style = "bold $background on $foreground" if stop.works else "bold $stale"
-    first = Content.styled(f" {stop.key} {stop.word} ", style)
+    first = Content.styled(f" {stop.key} {tr(stop.word)} ", style)
     if width < FULL_WIDTH:
         return first.append(_row(state, dict.fromkeys(NARROW, 0))).truncate(width)
     rows = first.append(" ").append(_row(state, ACTS, " ")), Content(" ").append(_row(state, VIEWS))

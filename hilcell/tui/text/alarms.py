@@ -13,6 +13,7 @@ from textual.content import Content
 from hilcell.alarms import Alarm, Latch, Latched
 from hilcell.journal.labels import local_time_text, with_labels
 from hilcell.journal.log import Log
+from hilcell.language import decimal, marked, tr
 from hilcell.model.events import NOT_KNOWN, Closing
 from hilcell.sanitize import harmless
 from hilcell.tui.keys import Keymap, shown
@@ -24,6 +25,7 @@ from hilcell.tui.text.points import deviation_of
 from hilcell.tui.text.run import duration
 from hilcell.tui.widgets import TextPanel, TitledBox
 
+CHECKED_BY = marked({"you": "you", "controller": "controller"})
 SEVERITY_STYLES = {
     "fault": ("lost", "fault"),
     "warning": ("warned", "ask"),
@@ -48,12 +50,12 @@ class AlarmContext:
         """Return whether the key that goes on works, and what is known of the cause."""
         key = shown(self.keymap["pause"][0])
         if self.refused:
-            return f"{key} does nothing now: {self.refused}."
+            return tr("{key} does nothing now: {why}.", key=key, why=tr(self.refused))
         if latched.alarm.ended:
-            return "This run keeps its points; it will most likely fault again."
+            return tr("This run keeps its points; it will most likely fault again.")
         if latched.gone:
-            return f"The cause is gone: {key} works."
-        return "Nothing moves until the devices report that the cause is gone."
+            return tr("The cause is gone: {key} works.", key=key)
+        return tr("Nothing moves until the devices report that the cause is gone.")
 
     def _go_on(self, alarm: Alarm) -> Content:
         """Return the last step with its keys, grey while they do nothing."""
@@ -61,9 +63,9 @@ class AlarmContext:
         style = "$stale on $badge" if self.refused else "bold $foreground on $badge"
         key = (f" {shown(self.keymap[name][0])} ", style)
         if alarm.ended:
-            return Content.assemble("Start a new run: ", key)
+            return Content.assemble(tr("Start a new run: "), key)
         return Content.assemble(
-            "Go on: ", key, " then ", (" Enter ", style), "; devices are asked first"
+            tr("Go on: "), key, tr(" then "), (" Enter ", style), tr("; devices are asked first")
         )
 
     def page(self, alarms: Sequence[Alarm], latch: Latch) -> Lines:
@@ -78,34 +80,41 @@ class AlarmContext:
         raised = {alarm.code for alarm in alarms}
         for code, each in standing.items():
             parts += [] if code in raised else self._whole(each)
-        return Stack(*parts[:-1] or ["No alarm was raised in this run."])
+        return Stack(*parts[:-1] or [tr("No alarm was raised in this run.")])
 
     def _whole(self, latched: Latched) -> list[Lines | Text]:
         return [self.title(latched), self.facts(latched), self.steps(latched), BLANK]
 
     def title(self, latched: Latched) -> Content:
         alarm, (shape, tone) = latched.alarm, SEVERITY_STYLES[latched.severity]
-        times = f" ({latched.count} times)" if latched.count > 1 else ""
+        times = tr(" ({count} times)", count=latched.count) if latched.count > 1 else ""
         words = f" {getattr(self.glyphs, shape)} {alarm.code}  {alarm.title}{times} "
         return Content.styled(words, f"bold $on-{tone} on ${tone}-fill")
 
     def facts(self, latched: Latched, kept: str = "") -> Lines:
         """Return the time of an alarm, its cause, meaning, place and reading."""
         alarm, ago = latched.alarm, ""
-        since = Content.styled("of the whole run", "$label")
+        since = Content.styled(tr("of the whole run"), "$label")
         if alarm.t:
             if self.now is not None:
                 age_s = (self.now - datetime.fromisoformat(alarm.t)).total_seconds()
-                ago = f" ({duration(age_s)} ago)"
+                ago = tr(" ({age} ago)", age=duration(age_s))
             at = (local_time_text(alarm.t), "bold")
-            since = Content.assemble(("since ", "$label"), at, (ago, "$label"))
-        state = ("acknowledged", "$label") if latched.acknowledged else ("not acknowledged", "$ask")
+            since = Content.assemble((tr("since "), "$label"), at, (ago, "$label"))
+        state = (
+            (tr("acknowledged"), "$label")
+            if latched.acknowledged
+            else (tr("not acknowledged"), "$ask")
+        )
         facts: list[tuple[Cell, Cell]] = [
-            (("What", "$label"), alarm.means),
-            (("Where", "$label"), location_text(alarm, self.log)),
-            (("Detail", "$label"), (with_labels(alarm.found, self.log), "$label" if kept else "")),
+            ((tr("What"), "$label"), alarm.means),
+            ((tr("Where"), "$label"), location_text(alarm, self.log)),
+            (
+                (tr("Detail"), "$label"),
+                (with_labels(alarm.found, self.log), "$label" if kept else ""),
+            ),
         ]
-        facts += [(("Saved", "$label"), (kept, "$label"))] if kept else []
+        facts += [((tr("Saved"), "$label"), (kept, "$label"))] if kept else []
         return Stack(
             Grid([(since, self._cause(latched), state)], Col(grows=True), Col(), Col(), gap=3),
             Grid(facts, Col(6), Col(grows=True, wraps=True)),
@@ -113,14 +122,20 @@ class AlarmContext:
 
     def _cause(self, latched: Latched) -> Content:
         """Return whether an alarm's cause is gone, as far as it is known."""
-        glyphs, cause = self.glyphs, (f"{self.glyphs.stale} not monitored", "bold $ask")
+        glyphs, cause = (
+            self.glyphs,
+            (f"{self.glyphs.stale} {tr('not monitored')}", "bold $ask"),
+        )
         if latched.gone:
-            cause = f"{glyphs.gone} gone at {local_time_text(latched.gone)}", "bold $passed"
+            cause = (
+                f"{glyphs.gone} {tr('gone at {time}', time=local_time_text(latched.gone))}",
+                "bold $passed",
+            )
         elif latched.alarm.cause == "over" or latched.settled:
-            cause = f"{glyphs.gone} over", "$label"
+            cause = f"{glyphs.gone} {tr('over')}", "$label"
         elif latched.alarm.cause == "watched":
-            cause = f" {glyphs.locked} PRESENT ", "bold $on-fault on $fault-fill"
-        return Content.assemble(("cause ", "$label"), cause)
+            cause = f" {glyphs.locked} {tr('PRESENT')} ", "bold $on-fault on $fault-fill"
+        return Content.assemble((tr("cause "), "$label"), cause)
 
     def steps(self, latched: Latched, *, in_box: bool = False, low: bool = False) -> Lines:
         """Return the steps, each with its mark and who checks it; ``low``: the present one alone.
@@ -135,34 +150,36 @@ class AlarmContext:
                 words = self._go_on(alarm)
             mark = (glyphs.done, "bold $passed") if _step_done(latched, index) else (" ", "")
             mark = (glyphs.moving, "bold $ask") if index == present else mark
-            rows.append((mark, f"{index + 1} ", words, (by, "$label")))
+            rows.append((mark, f"{index + 1} ", words, (tr(CHECKED_BY[by]), "$label")))
         columns = Col(), Col(), Col(grows=True, wraps=True), Col(right=True)
         grid = Grid(rows, *columns, styles={present: "on $cursor-row"})
         if low:
             return Grid(rows[present : present + 1], *columns, styles={0: "on $cursor-row"})
-        heading = Content.styled("What to do", "bold")
+        heading = Content.styled(tr("What to do"), "bold")
         if rows:
-            count = f"step {present + 1} of {len(rows)}"
-            heading = Content.assemble(("What to do: ", "bold"), (count, "bold $ask"))
+            count = tr("step {number} of {n}", number=present + 1, n=len(rows))
+            heading = Content.assemble((tr("What to do: "), "bold"), (count, "bold $ask"))
         outlook = [(f"     {self._outlook(latched)}", "$label")] if in_box else []
-        return Stack(ends(heading, ("checked by", "$label")), grid, *outlook)
+        return Stack(ends(heading, (tr("checked by"), "$label")), grid, *outlook)
 
     def line(self, standing: list[Latched], skip: int = 0) -> Lines:
         """Return the worst alarm after the first ``skip`` in one line, and the key for all."""
         glyphs = self.glyphs
         if len(standing) <= skip:
-            words = "no other alarm" if skip else "no alarms"
+            words = tr("no other alarm") if skip else tr("no alarms")
             return ends((f"{glyphs.stale} {words}", "$label"), "")
         latched = standing[skip]
-        count = {1: "alarms", 2: "both alarms"}.get(len(standing), f"all {len(standing)} alarms")
+        count = {1: tr("alarms"), 2: tr("both alarms")}.get(
+            len(standing), tr("all {n} alarms", n=len(standing))
+        )
         key = Content.assemble((shown(self.keymap["alarms"][0]), "bold"), f"  {count}")
         at = f", {local_time_text(latched.alarm.t)}" if latched.alarm.t else ""
-        acknowledged = ", acknowledged" if latched.acknowledged else ""
+        acknowledged = tr(", acknowledged") if latched.acknowledged else ""
         shape, tone = SEVERITY_STYLES[latched.severity]
         left = Content.assemble(
             (f"{getattr(glyphs, shape)} {latched.alarm.code} ", f"bold ${tone}"),
             latched.alarm.title,
-            (f"  {latched.severity}{at}{acknowledged}", "$label"),
+            (f"  {tr(latched.severity)}{at}{acknowledged}", "$label"),
         )
         return ends(left, key)
 
@@ -183,7 +200,7 @@ class AlarmBox(Vertical, TitledBox):
 
     def show(self, standing: list[Latched], kept: str, context: AlarmContext, *, low: bool) -> None:
         latched, (facts, steps) = standing[0], self.query(TextPanel)
-        self.show_titles(context.title(latched), f"alarm 1 of {len(standing)}")
+        self.show_titles(context.title(latched), tr("alarm 1 of {n}", n=len(standing)))
         facts.show(context.facts(latched, kept))
         steps.show(context.steps(latched, in_box=True, low=low))
 
@@ -196,10 +213,18 @@ def location_text(alarm: Alarm, log: Log) -> str:
         device, _, how = order.motion.action.partition(".")
         if crashed or alarm.where == f"{device.capitalize()}: move":
             at = order.motion.station if device == "rail" else order.key
-            to = {"park": "its safe pose", "home": "its reference"}.get(how) or with_labels(at, log)
-            return harmless(f"{device.capitalize()}, on its way to {to}")
+            to = {"park": tr("its safe pose"), "home": tr("its reference")}.get(how) or with_labels(
+                at, log
+            )
+            return harmless(
+                tr("{device}, on its way to {to}", device=tr(device.capitalize()), to=to)
+            )
     if crashed:
-        return f"Engine, {'between two motions' if alarm.seq > log.began else 'earlier session'}"
+        return (
+            tr("Engine, between two motions")
+            if alarm.seq > log.began
+            else tr("Engine, earlier session")
+        )
     return with_labels(alarm.where or "-", log)
 
 
@@ -228,7 +253,11 @@ def _step_done(latched: Latched, index: int) -> bool:
 
 def saved_text(log: Log) -> str:
     """Return how much is measured, and how the devices were left, as the journal has it."""
-    of = f" of {log.plan.points}" if log.plan is not None and log.plan.points else ""
+    of = (
+        tr(" of {points}", points=log.plan.points)
+        if log.plan is not None and log.plan.points
+        else ""
+    )
     problems = {
         each.fact.what: each.fact.problems
         for each in log.events
@@ -236,23 +265,23 @@ def saved_text(log: Log) -> str:
     }
     failed = sorted({name for names in problems.values() for name in names})
     if failed:
-        left = f"check {' and '.join(failed)}: not stopped or closed properly"
+        left = tr("check {failed}: not stopped or closed properly", failed=tr(" and ").join(failed))
     elif not log.was_connected:
-        left = f"{NOT_KNOWN}: check the cell"
+        left = tr("{state}: check the cell", state=tr(NOT_KNOWN))
     elif "closed" not in problems:
-        left = "how the devices were left is not recorded"
+        left = tr("how the devices were left is not recorded")
     else:
-        rail = "slide held, " if log.plan is None or log.cell.has_rail else ""
-        left = f"{rail}robot at rest; nothing moves"
-    return f"{log.counted}{of} points; {left}"
+        rail = tr("slide held, ") if log.plan is None or log.cell.has_rail else ""
+        left = tr("{rail}robot at rest; nothing moves", rail=rail)
+    return tr("{n}{of} points; {left}", n=log.counted, of=of, left=left)
 
 
 def newest_line(view: RunView) -> Lines:
     point = view.newest
     if point is None:
-        return ends(("no point is measured yet", "$label"), "")
+        return ends((tr("no point is measured yet"), "$label"), "")
     deviation = deviation_of(view.log, point)
-    error = "" if deviation is None else f"|e| {deviation.norm_mm:.3f} mm, "
+    error = "" if deviation is None else decimal(f"|e| {deviation.norm_mm:.3f} mm, ")
     name = point.id.text(point.station)
-    age = f"{error}{short_age(view.newest_age_s)} ago"
-    return ends((f"newest good point: {name}", "$label"), (age, "$stale"))
+    age = error + tr("{age} ago", age=short_age(view.newest_age_s))
+    return ends((tr("newest good point: {name}", name=name), "$label"), (age, "$stale"))

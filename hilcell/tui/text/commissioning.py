@@ -10,6 +10,7 @@ from textual.content import Content
 from hilcell.commission.dialogue import Question
 from hilcell.commission.record import Check
 from hilcell.commission.sequence import STEPS
+from hilcell.language import marked, tr
 from hilcell.sanitize import harmless
 from hilcell.tui.commissioning import Progress
 from hilcell.tui.layout import BLANK, Col, Fitting, Grid, Lines, Stack, Text, labelled_rows, section
@@ -18,14 +19,14 @@ from hilcell.tui.text.run import NOT_E_STOP, badge, simulation_block
 from hilcell.tui.widgets import Column
 
 WORDS = {  # by status: the word, its tone, its shape
-    "running": ("running", "live", "fresh"),
-    "proved": ("proved", "passed", "done"),
-    "failed": ("DIFFERS", "fault", "lost"),
-    "changed": ("edited", "ask", "warned"),
-    "open": ("open", "label", "stale"),
+    "running": (marked("running"), "live", "fresh"),
+    "proved": (marked("proved"), "passed", "done"),
+    "failed": (marked("DIFFERS"), "fault", "lost"),
+    "changed": (marked("edited"), "ask", "warned"),
+    "open": (marked("open"), "label", "stale"),
 }
 MOST_SAID = 4
-DIFFERS, HOLDS = "DIFFERS", "holds"
+DIFFERS, HOLDS = marked("DIFFERS"), marked("holds")
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +39,7 @@ class StepRow:
 
     @property
     def word(self) -> str:
-        return WORDS[self.status][0]
+        return tr(WORDS[self.status][0])
 
     @property
     def tone(self) -> str:
@@ -54,7 +55,7 @@ CHECK_COLUMNS = (
     Column[Check]("what", 15, lambda check: check.what),
     Column[Check]("found", 13, lambda check: check.found, grows=True),
     Column[Check]("expected", 13, lambda check: check.expected),
-    Column[Check]("", 7, lambda check: HOLDS if check.holds else DIFFERS),
+    Column[Check]("", 7, lambda check: tr(HOLDS if check.holds else DIFFERS)),
 )
 
 
@@ -83,14 +84,14 @@ def check_lines(check: Check) -> Lines:
     """Return one check in full, with the values of the cell file that it proves."""
     found: Text = harmless(check.found)
     if not check.holds:
-        found = Content.assemble((f"{DIFFERS}: ", "bold $fault"), found)
+        found = Content.assemble((f"{tr(DIFFERS)}: ", "bold $fault"), found)
     values = [f"{path} = {harmless(str(value))}" for path, value in check.values.items()]
     rows: list[tuple[str, Text]] = [
-        ("what", harmless(check.what)),
-        ("found", found),
-        ("expected", harmless(check.expected)),
+        (tr("what"), harmless(check.what)),
+        (tr("found"), found),
+        (tr("expected"), harmless(check.expected)),
     ]
-    return labelled_rows([*rows, *[("written", each) for each in values]], 9)
+    return labelled_rows([*rows, *[(tr("written"), each) for each in values]], 9)
 
 
 def question_lines(question: Question, how: str) -> Lines:
@@ -105,9 +106,13 @@ def question_lines(question: Question, how: str) -> Lines:
             else Content.styled(harmless(words), "bold")
         )
     if question.motion and how:
-        lines.append(Content.styled(f"{how}; another answer moves nothing", "$ask"))
+        lines.append(Content.styled(tr("{how}; another answer moves nothing", how=how), "$ask"))
     elif question.default and not question.choices:
-        lines.append(Content.styled(f"Enter alone: {harmless(question.default)}", "$label"))
+        lines.append(
+            Content.styled(
+                tr("Enter alone: {default}", default=harmless(question.default)), "$label"
+            )
+        )
     return Stack(*lines)
 
 
@@ -125,12 +130,12 @@ def said_lines(chosen: str, said: Sequence[str]) -> Lines:
 
 def banner(glyphs: Glyphs, *, asks: bool, at_work: bool, simulated: bool) -> Lines:
     """Return the first row while no run is live."""
-    word, shape = ("IN WORK", glyphs.moving) if at_work else ("AT REST", glyphs.stale)
+    word, shape = (tr("IN WORK"), glyphs.moving) if at_work else (tr("AT REST"), glyphs.stale)
     if asks:
-        word, shape = "QUESTION", glyphs.states["suspended"]
-    blocks = [badge(f"{shape} COMMISSION"), badge(word)]
+        word, shape = tr("QUESTION"), glyphs.states["suspended"]
+    blocks = [badge(f"{shape} {tr('COMMISSION')}"), badge(word)]
     left = Content(" ").join([*blocks, *([simulation_block()] if simulated else [])])
-    words = NOT_E_STOP if at_work and not asks else "nothing moves before you agree"
+    words = tr(NOT_E_STOP) if at_work and not asks else tr("nothing moves before you agree")
     rest = Fitting((Content.styled(words, "$label"), BLANK))
     return Grid([(left, rest)], Col(), Col(right=True, grows=True))
 
@@ -143,5 +148,9 @@ def outcome_lines(outcome: str, progress: Progress | None) -> Lines:
     if progress is not None:
         parts.append(Content.styled(harmless(progress.standing), "bold"))
         if progress.next_step:
-            parts.append(Content.styled(f"Enter goes on with step {progress.next_step}", "bold"))
+            parts.append(
+                Content.styled(
+                    tr("Enter goes on with step {step}", step=progress.next_step), "bold"
+                )
+            )
     return Stack(*parts)

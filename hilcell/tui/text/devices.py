@@ -10,6 +10,7 @@ from textual.content import Content
 
 from hilcell.alarms.alarm import DRIFT_LIMIT_K
 from hilcell.journal.labels import local_time_text, time_text, with_labels
+from hilcell.language import decimal, marked, tr
 from hilcell.model.events import NOT_KNOWN
 from hilcell.model.records import WAITING
 from hilcell.run.control import DeviceStatus, Interlock
@@ -18,15 +19,15 @@ from hilcell.tui.run_view import RunView
 from hilcell.tui.terminal import UNICODE, Glyphs
 
 REASONS = {  # in short, by the code of the interlock; the whole one is on the interlocks' page
-    "HC-B30": "no fresh robot reading",
-    "HC-B31": "robot moves",
-    "HC-B32": "robot not at safe pose",
-    "HC-R40": "no fresh rail reading",
-    "HC-R41": "slide moves",
-    "HC-R42": "drive has power",
-    "HC-S05": "slide not at its station",
+    "HC-B30": marked("no fresh robot reading"),
+    "HC-B31": marked("robot moves"),
+    "HC-B32": marked("robot not at safe pose"),
+    "HC-R40": marked("no fresh rail reading"),
+    "HC-R41": marked("slide moves"),
+    "HC-R42": marked("drive has power"),
+    "HC-S05": marked("slide not at its station"),
 }
-NAMES = {"rail move": "Rail", "robot move": "Robot", "measurement": "Tracker"}
+NAMES = marked({"rail move": "Rail", "robot move": "Robot", "measurement": "Tracker"})
 
 
 def short_age(seconds: float) -> str:
@@ -34,11 +35,11 @@ def short_age(seconds: float) -> str:
     if not seconds < math.inf:
         return "?"
     if seconds < 9.95:
-        return f"{seconds:.1f} s"
+        return decimal(f"{seconds:.1f} s")
     for size_s, unit in ((1, "s"), (60, "m"), (3600, "h")):
         if seconds / size_s < 99.5:
             return f"{seconds / size_s:.0f} {unit}"
-    return f"{seconds / 86400:.0f} d"
+    return tr("{days:.0f} d", days=seconds / 86400)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,17 +57,17 @@ class Lock:
     def of(cls, each: Interlock, person: str, glyphs: Glyphs) -> Lock:
         name = NAMES.get(each.name, each.name)
         if not each.blocked and not person:
-            return cls(name, "free", glyphs.moving, "$live")
+            return cls(name, tr("free"), glyphs.moving, "$live")
         first = each.blocked.partition(",")[0]  # of an engine that states no code
-        first = first if len(first) <= 26 else "see the interlocks"
-        short = person or REASONS.get(each.code) or first
+        first = first if len(first) <= 26 else tr("see the interlocks")
+        short = person or tr(REASONS.get(each.code) or first)
         # The signs of figures as they are printed.
         signed = re.sub(r"(?<![\w.])-(?=\d)", "−", each.blocked.replace("+-", "±"))
         whole = "; ".join(filter(None, (person, signed)))
         if each.name == "measurement":
             why = short.removeprefix("waits "), whole.removeprefix("waits ")
-            return cls(name, "waits", glyphs.stale, "$label", *why)
-        return cls(name, "locked", glyphs.locked, "$ask" if person else "$label", short, whole)
+            return cls(name, tr("waits"), glyphs.stale, "$label", *why)
+        return cls(name, tr("locked"), glyphs.locked, "$ask" if person else "$label", short, whole)
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +91,9 @@ class DeviceText:
         if all(step.name != "validate" for step in plan.steps):
             return ""
         measured = min(sum(map(len, view.measured.values())), plan.points)
-        return f"no verdict: {measured} of {plan.points} points"
+        return tr(
+            "no verdict: {measured} of {points} points", measured=measured, points=plan.points
+        )
 
     def device_names(self) -> tuple[str, ...]:
         return (*(("rail", "strip") if self.view.has_rail else ()), "robot", "tracker")
@@ -105,9 +108,11 @@ class DeviceText:
     def lamp(self, name: str, device: DeviceStatus) -> Content:
         """Return one lamp; a stale reading is grey and shows its age."""
         glyphs = self.glyphs
-        title = name.capitalize()
+        title = tr(name.capitalize())
         if device.state == "lost":
-            return Content.styled(f"{glyphs.lost} {title} lost", "bold $fault")
+            return Content.styled(
+                f"{glyphs.lost} {tr('{device} lost', device=title)}", "bold $fault"
+            )
         if device.age_s is None:
             return Content.styled(f"{glyphs.stale} {title} -", "$stale")
         age_s = device.age_s + self.view.status_age_s
@@ -124,9 +129,9 @@ class DeviceText:
             return BLANK
         celsius, measured_c = view.last.temperature_c, view.log.temperatures_c()
         if celsius is None or not measured_c:
-            return Content.styled("air not measured", "$label")
+            return Content.styled(tr("air not measured"), "$label")
         drift_k = celsius - measured_c[0]
-        text = f"{celsius:.1f} {self.glyphs.degree}C {drift_k:+z.1f} K".replace("-", "−")
+        text = decimal(f"{celsius:.1f} {self.glyphs.degree}C {drift_k:+z.1f} K").replace("-", "−")
         if abs(drift_k) <= DRIFT_LIMIT_K:
             return Content(text)
         return Content.styled(f"{self.glyphs.warned} {text}", "$ask")
@@ -140,10 +145,16 @@ class DeviceText:
         locked = self.locks()
         if not locked:
             known = view.status is not None and bool(view.status.interlocks)
-            age = f" for {short_age(view.status_age_s)}" if known else ""
-            return ends((f"{self.glyphs.stale} interlocks: no reading{age}", "$stale"), "")
+            age = tr(" for {age}", age=short_age(view.status_age_s)) if known else ""
+            return ends(
+                (
+                    f"{self.glyphs.stale} {tr('interlocks: no reading{age}', age=age)}",
+                    "$stale",
+                ),
+                "",
+            )
         parts = [
-            Content.assemble((each.shape, each.tone), f" {each.name} {each.word}")
+            Content.assemble((each.shape, each.tone), f" {tr(each.name)} {each.word}")
             for each in locked
         ]
         if why := locked[0].short:
@@ -155,14 +166,25 @@ class DeviceText:
         """Return that nothing may move, the longest words first."""
         view = self.view
         if view.state == "gone":
-            gone = "the run process has died: cell unsupervised"
+            gone = tr("the run process has died: cell unsupervised")
             return [Content.styled(f"{self.glyphs.lost} {gone}", "$ask")]
         end = view.records[-1] if view.records and view.log.end is not None else None
-        at = [f" at {time_text(end.t)}", f" at {local_time_text(end.t)}"] if end is not None else []
+        at = (
+            [
+                tr(" at {time}", time=time_text(end.t)),
+                tr(" at {time}", time=local_time_text(end.t)),
+            ]
+            if end is not None
+            else []
+        )
         known = end is None or view.log.was_connected
-        words = "devices closed{}; nothing may move" if known else f"closed{{}}; {NOT_KNOWN}"
-        texts = (f"{self.glyphs.stale} {words.format(each)}" for each in (*at, ""))
-        return [Content.styled(each, "$label") for each in texts]
+        texts = (
+            tr("devices closed{at}; nothing may move", at=each)
+            if known
+            else tr("closed{at}; {state}", at=each, state=tr(NOT_KNOWN))
+            for each in (*at, "")
+        )
+        return [Content.styled(f"{self.glyphs.stale} {each}", "$label") for each in texts]
 
     def locks(self) -> list[Lock]:
         """Return the interlocks as they are now; none where that is not known."""
@@ -172,7 +194,7 @@ class DeviceText:
         person = ""  # why one has to act before anything moves, unless the step goes on itself
         if view.prompt is not None or view.state in WAITING:
             is_paused = view.prompt is None and view.state != "suspended"
-            person = "paused" if is_paused else "waits for the operator"
+            person = tr("paused") if is_paused else tr("waits for the operator")
         return [Lock.of(each, person, self.glyphs) for each in view.status.interlocks]
 
     def interlock_page(self) -> Content:
@@ -180,21 +202,21 @@ class DeviceText:
         view = self.view
         status = view.status
         if status is None or not view.live:
-            return Content("No engine is at work on this run: nothing can move from here.")
+            return Content(tr("No engine is at work on this run: nothing can move from here."))
         lines = [
             Content.assemble(
-                (f"{each.shape} {each.name} {each.word}", f"bold {each.tone}"),
+                (f"{each.shape} {tr(each.name)} {each.word}", f"bold {each.tone}"),
                 f": {each.whole}" if each.whole else "",
             )
             for each in self.locks()
-        ] or [Content.styled(f"{self.glyphs.stale} no reading", "$stale")]
+        ] or [Content.styled(f"{self.glyphs.stale} {tr('no reading')}", "$stale")]
         lines.append(BLANK)
         for name in self.device_names():
             device = status.devices.get(name, DeviceStatus())
             head = self.lamp(name, device)
             detail = device.reason or device.text
             lines.append(head.append(f"   {with_labels(detail, view.log)}" if detail else ""))
-        words = (
+        words = tr(
             "These interlocks protect the measurement. They are no safety function: guards, "
             "enabling switch and E-stop work without hilcell."
         )

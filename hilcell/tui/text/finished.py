@@ -29,6 +29,7 @@ from hilcell.decoding import Json, typed
 from hilcell.errors import HilcellError
 from hilcell.journal.labels import point_id, procedure_label, with_labels
 from hilcell.journal.log import Log
+from hilcell.language import decimal, tr
 from hilcell.model.events import TrackerVerified
 from hilcell.model.outcome import Outcome
 from hilcell.model.verdicts import (
@@ -88,7 +89,11 @@ class Figure:
     @property
     def place(self) -> str:
         """Return place and limit; a long name is shortened, the limit never."""
-        limit = "no limit" if self.limit_mm is None else f"limit {self.limit_mm:.3f}"
+        limit = (
+            tr("no limit")
+            if self.limit_mm is None
+            else tr("limit {limit_mm:.3f}", limit_mm=self.limit_mm)
+        )
         return f" {Content(self.at).truncate(10, ellipsis=True).plain}, {limit}"
 
     def tone(self, glyphs: Glyphs) -> tuple[str, str]:
@@ -140,7 +145,7 @@ class Head:
         if len(self.words) == 1:
             texts = ["", *texts, "", self.stated]
         last = mark.pad_left((self.BLOCK - mark.cell_length) // 2).truncate(self.BLOCK, pad=True)
-        words = (Content.styled(f"{text:^{self.BLOCK}}", self.style) for text in texts)
+        words = (Content.styled(decimal(f"{text:^{self.BLOCK}}"), self.style) for text in texts)
         return [*words, last.stylize_before(self.style.removeprefix("bold "))]
 
     def small(self, mark: Content, glyphs: Glyphs) -> Lines:
@@ -200,20 +205,34 @@ class Station:
         for name, each in zip(("mean", "single", "orientation"), self.judged.figures, strict=False):
             value = math.nan if each.value is None else each.value
             written, limit, U = (
-                (f"{value:.4f}°", f"{each.limit:g}°", f"{each.U or 0.0:.4f}°")
+                (
+                    decimal(f"{value:.4f}°"),
+                    decimal(f"{each.limit:g}°"),
+                    decimal(f"{each.U or 0.0:.4f}°"),
+                )
                 if each.unit == "deg"
-                else (figure(value), f"{each.limit:.3f}", f"{each.U or 0.0:.3f}")
+                else (figure(value), decimal(f"{each.limit:.3f}"), decimal(f"{each.U or 0.0:.3f}"))
             )
             if each.limit is not None and not value <= each.limit:
-                over.append(f"{name} {written} over {limit}")
+                over.append(
+                    tr("{name} {written} over {limit}", name=name, written=written, limit=limit)
+                )
             elif each.outcome is not Outcome.ACCEPTED:
-                unsure.append(f"{name} {written}, U {U}: not shown below {limit}")
-        return ", ".join(over or unsure) or "too few targets to show it"
+                unsure.append(
+                    tr(
+                        "{name} {written}, U {U}: not shown below {limit}",
+                        name=name,
+                        written=written,
+                        U=U,
+                        limit=limit,
+                    )
+                )
+        return ", ".join(over or unsure) or tr("too few targets to show it")
 
     def cells(self, limits: Limits, glyphs: Glyphs) -> list[Cell]:
         judged, outcome = self.judged, self.judged.outcome
         role, shape, *_ = OUTCOME_STYLES[outcome]
-        word, tone = outcome.short, f"${role}"
+        word, tone = tr(outcome.short), f"${role}"
         if outcome is Outcome.REJECTED:
             word, tone = word.upper(), f"bold {tone}"
         mean_style = "bold" if judged.mean_mm <= limits.mean_mm else "bold $fault"
@@ -222,7 +241,7 @@ class Station:
             "",
             Content(harmless(self.name)).truncate(13, ellipsis=True),
             (str(self.targets), "$label"),
-            (f"{self.before_mm:.3f}", "$label"),
+            (decimal(f"{self.before_mm:.3f}"), "$label"),
             (figure(judged.mean_mm), mean_style),
             figure(self.p95_mm),
             (figure(judged.max_mm), max_style),
@@ -250,8 +269,8 @@ class Finished:
     @property
     def words(self) -> tuple[str, str]:
         undecided = self.outcome is Outcome.UNDECIDED
-        meaning = "neither pass nor fail" if undecided else self.outcome.text
-        return self.outcome.short.upper(), meaning
+        meaning = tr("neither pass nor fail") if undecided else tr(self.outcome.text)
+        return tr(self.outcome.short).upper(), meaning
 
     @property
     def reasons(self) -> str:
@@ -264,16 +283,23 @@ class Finished:
         undecided = [each.name for each in failed if each.judged.outcome is Outcome.UNDECIDED]
         whole = [each for each in failed if each.name not in undecided[1:]]
         words = [f"{each.name}: {each.reason}" for each in whole]
-        return "; ".join([*words, *([f"also {', '.join(undecided[1:])}"] if undecided[1:] else [])])
+        return "; ".join(
+            [
+                *words,
+                *([tr("also {others}", others=", ".join(undecided[1:]))] if undecided[1:] else []),
+            ]
+        )
 
     @property
     def head(self) -> Head:
         word, stated = self.words
         mean, single, limits = self.worst_mean, self.worst_single, self.limits
         figures = (
-            Figure("worst mean |e|, mm", mean.judged.mean_mm, f"at {mean.name}", limits.mean_mm,
+            Figure(tr("worst mean |e|, mm"), mean.judged.mean_mm, tr("at {name}", name=mean.name),
+                   limits.mean_mm,
                    mean.judged.mean_U_mm),
-            Figure("worst single |e|, mm", single.judged.max_mm, f"at {single.name}", limits.max_mm,
+            Figure(tr("worst single |e|, mm"), single.judged.max_mm,
+                   tr("at {name}", name=single.name), limits.max_mm,
                    single.judged.max_U_mm),
         )  # fmt: skip
         return Head((word,), stated, OUTCOME_STYLES[self.outcome][0], figures)
@@ -286,17 +312,30 @@ class Finished:
         if not known:
             return []
         worst, turn = max(known, key=lambda each: gravest(each[1].max_deg))
-        words = f"{turn.max_deg:.4f}° at {worst.short}, limit {self.limits.max_deg:g}°"
-        return [Content.assemble((" orientation, worst: ", "$label"), words)]
+        words = tr(
+            "{largest_deg:.4f}° at {station}, limit {limit_deg:g}°",
+            largest_deg=turn.max_deg,
+            station=worst.short,
+            limit_deg=self.limits.max_deg,
+        )
+        return [Content.assemble((tr(" orientation, worst: "), "$label"), words)]
 
     def table(self, glyphs: Glyphs, room: int) -> Lines:
         order = sorted(self.stations, key=lambda each: -gravest(each.judged.mean_mm))
         kept = order[: room - 2]
         shown = [each for each in self.stations if each in kept]
         left = len(self.stations) - len(shown)
-        titles = "station", "targets", "mean as sent", "mean", "95 % below", "max mm", " verdict"
-        limits = (f"{self.limits.mean_mm:.3f}", "-", f"{self.limits.max_mm:.3f}")
-        name = f"limit ({left} more in the report)" if left else "limit"
+        titles = (
+            tr("station"),
+            tr("targets"),
+            tr("mean as sent"),
+            tr("mean"),
+            tr("95 % below"),
+            tr("max mm"),
+            tr(" verdict"),
+        )
+        limits = (decimal(f"{self.limits.mean_mm:.3f}"), "-", decimal(f"{self.limits.max_mm:.3f}"))
+        name = tr("limit ({left} more in the report)", left=left) if left else tr("limit")
         rows: list[list[Cell]] = [["", *((title, "$label") for title in titles)]]
         rows += [each.cells(self.limits, glyphs) for each in shown]
         rows.append(["", (name, "$label"), "", "", *((each, "$label") for each in limits), ""])
@@ -326,10 +365,17 @@ class Finished:
         if self.outcome is not Outcome.ACCEPTED and view.alarms:
             return self._advice(view, glyphs)
         sure = max(self.stations, key=lambda each: gravest(each.sure_mm))
-        bound = f"below {sure.sure_mm:.3f} mm", f" at {sure.short}"
-        floor = f"   floor: {self.floor_mm:.3f} mm" if math.isfinite(self.floor_mm) else ""
+        bound = (
+            tr("below {sure_mm:.3f} mm", sure_mm=sure.sure_mm),
+            tr(" at {station}", station=sure.short),
+        )
+        floor = (
+            tr("   floor: {floor_mm:.3f} mm", floor_mm=self.floor_mm)
+            if math.isfinite(self.floor_mm)
+            else ""
+        )
         return [
-            _whole((" true mean, 95 % confidence: ", "$label"), *bound, (floor, "$label")),
+            _whole((tr(" true mean, 95 % confidence: "), "$label"), *bound, (floor, "$label")),
             *self.orientation,
             self._written(view, glyphs),
             _drift(view, glyphs, standing),
@@ -350,14 +396,22 @@ class Finished:
     def _written(self, view: RunView, glyphs: Glyphs) -> Lines | Text:
         celsius, air = view.log.temperatures_c(), ""
         if celsius:
-            air = f"; air was {min(celsius):.1f} to {max(celsius):.1f} {glyphs.degree}C"
+            air = tr(
+                "; air was {low:.1f} to {high:.1f} {degree}C",
+                low=min(celsius),
+                high=max(celsius),
+                degree=glyphs.degree,
+            )
         if not view.log.calibrates:
-            return _whole((" no calibration file was to be written", "$label"), (air, "$label"))
+            return _whole((tr(" no calibration file was to be written"), "$label"), (air, "$label"))
         if view.calibration_lost:
-            return f" {glyphs.warned} calibration.json is not written: space writes it", "$ask"
+            return (
+                f" {glyphs.warned} {tr('calibration.json is not written: space writes it')}",
+                "$ask",
+            )
         names = " ".join(each.name for each in self.stations)
-        head = Content.assemble((" written: ", "$label"), "calibration.json")
-        return _whole(head, (f" for {names}", "$label"), (air, "$label"))
+        head = Content.assemble((tr(" written: "), "$label"), "calibration.json")
+        return _whole(head, (tr(" for {names}", names=names), "$label"), (air, "$label"))
 
 
 def finished_verdict(view: RunView) -> Finished | None:
@@ -404,9 +458,9 @@ def _drift(view: RunView, glyphs: Glyphs, standing: int) -> Lines:
     moved = max((max(each) for each in offsets_mm if each), default=None)
     over = sum(alarm.cause == "over" for alarm in view.alarms)
     count = max(len(view.alarms), standing) - over
-    text = f"{count} alarm{'s' if count > 1 else ''}: e" if count else "no alarms"
-    text += f"; {over} that {'are' if over > 1 else 'is'} over: e" if over else ""
-    drift = "" if moved is None else f"; floor nests within {moved:.3f} mm"
+    text = {0: tr("no alarms"), 1: tr("1 alarm: e")}.get(count, tr("{n} alarms: e", n=count))
+    text += {0: "", 1: tr("; 1 that is over: e")}.get(over, tr("; {n} that are over: e", n=over))
+    drift = "" if moved is None else tr("; floor nests within {moved:.3f} mm", moved=moved)
     tone, shape = ("$ask", glyphs.warned) if count else ("$passed", glyphs.fresh)
     head = Content.assemble((f" {shape}", tone), (f" {text}", "$label"))
     return _whole(head, (drift, "$label"))
@@ -428,32 +482,44 @@ class Result:
         worst, limits, turned = test.worst, test.limits, test.orientation
         ap_mm, rp_mm = limits.get(AP.limit), limits.get(RP.limit)
         figures = (
-            Figure("worst AP_p, mm", worst.ap_mm, f"at {worst.ap_pose}", ap_mm, worst.ap_u95_mm),
-            Figure("worst RP_l, mm", worst.rp_mm, f"at {worst.rp_pose}", rp_mm, worst.rp_u95_mm),
+            Figure(
+                tr("worst AP_p, mm"),
+                worst.ap_mm,
+                tr("at {name}", name=worst.ap_pose),
+                ap_mm,
+                worst.ap_u95_mm,
+            ),
+            Figure(
+                tr("worst RP_l, mm"),
+                worst.rp_mm,
+                tr("at {name}", name=worst.rp_pose),
+                rp_mm,
+                worst.rp_u95_mm,
+            ),
         )
         rows: list[tuple[str, ...]] = [
             (
                 name,
                 *map(figure, (each.ap_mm, each.ap_u95_mm, each.rp_mm, each.rp_u95_mm)),
                 *cls._worst_angles(turned.get(name)),
-                "pass" if test.keeps(name) else "FAIL",
+                tr("pass") if test.keeps(name) else tr("FAIL"),
             )
             for name, each in test.poses.items()
         ]
-        heads = [("pose", ""), (AP.symbol, "mm"), ("U", "mm"), (RP.symbol, "mm"), ("U", "mm")]
-        heads += [(AP_ANGLES.symbol, "°"), (RP_ANGLES.symbol, "°"), ("verdict", "")]
+        heads = [(tr("pose"), ""), (AP.symbol, "mm"), ("U", "mm"), (RP.symbol, "mm"), ("U", "mm")]
+        heads += [(AP_ANGLES.symbol, "°"), (RP_ANGLES.symbol, "°"), (tr("verdict"), "")]
         columns = [
             Column(name, itemgetter(n), unit, "s" if unit else "")
             for n, (name, unit) in enumerate(heads)
             if (n < 5 or turned or n == 7) and (n < 7 or limits)
         ]
-        words = (("ISO",), "no limits stated", "label")
+        words = (("ISO",), tr("no limits stated"), "label")
         if limits:
             angles = (_limit(limits.get(of.limit)) for of in (AP_ANGLES, RP_ANGLES))
-            rows.append(("limit", _limit(ap_mm), "", _limit(rp_mm), "", *angles, ""))
-            words = ("FAIL",), "not within its limits", "fault"
+            rows.append((tr("limit"), _limit(ap_mm), "", _limit(rp_mm), "", *angles, ""))
+            words = (tr("FAIL"),), tr("not within its limits"), "fault"
             if passed:
-                words = ("PASS",), "within its limits", "passed"
+                words = (tr("PASS"),), tr("within its limits"), "passed"
         return cls(Head(*words, figures), cls._distance_words(test), Table(columns, rows))
 
     @classmethod
@@ -466,15 +532,15 @@ class Result:
             Column("less the base's motion", lambda each: figure(each.left_mm), "mm", "s"),
         ]
         limits_mm = result.mean_tolerance_mm, result.max_tolerance_mm
-        at = point_id(worst[0].pose, log).short if worst else "its target"
+        at = point_id(worst[0].pose, log).short if worst else tr("its target")
         figures = (
-            Figure("mean |e| now, mm", result.mean_mm, "all", limits_mm[0], result.mean_U_mm),
-            Figure("largest |e| now, mm", result.max_mm, at, limits_mm[1], result.max_U_mm),
+            Figure(tr("mean |e| now, mm"), result.mean_mm, "all", limits_mm[0], result.mean_U_mm),
+            Figure(tr("largest |e| now, mm"), result.max_mm, at, limits_mm[1], result.max_U_mm),
         )
         words = {
-            "valid": (("STILL", "VALID"), "still valid", "passed"),
-            "update": (("UPDATE",), "base moved, updated", "ask"),
-            "redo": (("REDO",), "calibrate again", "fault"),
+            "valid": ((tr("STILL"), tr("VALID")), tr("still valid"), "passed"),
+            "update": ((tr("UPDATE"),), tr("base moved, updated"), "ask"),
+            "redo": ((tr("REDO"),), tr("calibrate again"), "fault"),
         }
         head = Head(*words[result.verdict], figures)
         return cls(head, result.text, Table(columns, worst))
@@ -491,7 +557,7 @@ class Result:
                 lines += Grid([sentence], Col(), Col(grows=True, wraps=True)).lines(width)
             lines += table.lines(width)
             if len(lines) > rows:
-                more = Content.styled(" o report: all of the table", "$label")
+                more = Content.styled(tr(" o report: all of the table"), "$label")
                 lines = [*lines[: max(rows - 1, 0)], more]
             else:
                 lines += _last_word(view).lines(width)
@@ -504,17 +570,24 @@ class Result:
         pair = test.distance
         stated = ((of.key.upper(), test.limits.get(of.limit)) for of in (AD, RD))
         limits = [f"{name} {limit_mm:.3f}" for name, limit_mm in stated if limit_mm is not None]
-        limits_text = f"; limits {', '.join(limits)} mm" if limits else ""
-        return (
-            f"distance {pair.start}-{pair.to}: AD {pair.ad_mm:+z.3f} mm (U {pair.ad_u95_mm:.3f}), "
-            f"RD ±{pair.rd_mm:.3f} mm (U {pair.rd_u95_mm:.3f}){limits_text}"
+        limits_text = tr("; limits {limits} mm", limits=", ".join(limits)) if limits else ""
+        return tr(
+            "distance {start}-{to}: AD {ad_mm:+z.3f} mm (U {ad_u95_mm:.3f}), "
+            "RD ±{rd_mm:.3f} mm (U {rd_u95_mm:.3f}){limits}",
+            start=pair.start,
+            to=pair.to,
+            ad_mm=pair.ad_mm,
+            ad_u95_mm=pair.ad_u95_mm,
+            rd_mm=pair.rd_mm,
+            rd_u95_mm=pair.rd_u95_mm,
+            limits=limits_text,
         )
 
     @staticmethod
     def _worst_angles(angles: Angles | None) -> tuple[str, str]:
         """Return the largest AP and RP of a pose's angles, as far as they were measured."""
         parts = ({}, {}) if angles is None else (angles.ap_deg, angles.rp_deg)
-        ap, rp = (f"{max(map(abs, each.values())):.4f}" if each else "-" for each in parts)
+        ap, rp = (decimal(f"{max(map(abs, each.values())):.4f}") if each else "-" for each in parts)
         return ap, rp
 
 
@@ -532,7 +605,7 @@ def result_of(view: RunView) -> Result | None:
     if checked is not None:
         return Result.of_recheck(checked, view.log)
     table, text = procedure_table(view.log.plan.procedure, result)
-    nothing = "" if table else "Finished. This procedure measures nothing that is judged."
+    nothing = "" if table else tr("Finished. This procedure measures nothing that is judged.")
     return Result(Head((), "", "label", ()), text or nothing, table)
 
 
@@ -558,7 +631,7 @@ def procedure_table(name: str, result: Json) -> tuple[Table, str]:
 
 
 def _limit(limit_mm: float | None) -> str:
-    return "-" if limit_mm is None else f"{limit_mm:.3f}"
+    return "-" if limit_mm is None else decimal(f"{limit_mm:.3f}")
 
 
 NAMES = {  # of the summary, by the name shown
@@ -572,14 +645,14 @@ NAMES = {  # of the summary, by the name shown
 def report_lines(summary: Mapping[str, object], log: Log | None) -> Lines:
     procedure, standing = str(summary.get("procedure", "")), summary.get("standing")
     facts = [
-        ("run", str(summary.get("run", ""))),
-        ("procedure", procedure_label(procedure)),
-        ("cell", str(summary.get("cell", ""))),
-        ("simulated", "yes, no device moved" if summary.get("simulated") else "no"),
+        (tr("run"), str(summary.get("run", ""))),
+        (tr("procedure"), procedure_label(procedure)),
+        (tr("cell"), str(summary.get("cell", ""))),
+        (tr("simulated"), tr("yes, no device moved") if summary.get("simulated") else tr("no")),
         *((shown, _words(summary[name])) for name, shown in NAMES.items() if summary.get(name)),
     ]
     if isinstance(standing, Mapping):
-        facts.append(("calibration", str(standing.get("text", ""))))
+        facts.append((tr("calibration"), str(standing.get("text", ""))))
     parts: list[Lines | Text] = [labelled_rows((name, harmless(text)) for name, text in facts)]
     result = summary.get("result")
     if summary.get("state") == "finished" and isinstance(result, dict):

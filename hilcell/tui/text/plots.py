@@ -26,6 +26,7 @@ from hilcell.calibration.recheck import RecheckErrors
 from hilcell.decoding import typed
 from hilcell.geometry.statistics import bounds95_mm, figures_of, from_mean_mm, repeatability_mm
 from hilcell.journal.log import Log, positions_mm
+from hilcell.language import decimal, marked, tr
 from hilcell.model.point import Point, Sent
 from hilcell.model.results import Floor, Place
 from hilcell.model.verdicts import AP, ISO, RP
@@ -131,9 +132,13 @@ class Measured:
         by_place: dict[str, list[Point]] = {}
         for kind in ("repeat", "repeatability", ISO):
             for point in self.log.measured(kind):
-                id, place = point.id, f"place {(point.id.place or 0) + 1}"
+                id, place = point.id, tr("place {place}", place=(point.id.place or 0) + 1)
                 if id.kind in (ISO, "repeat"):
-                    place = f"pose {id.pose}" if id.kind == ISO else f"{id.how} {id.direction}"
+                    place = (
+                        tr("pose {pose}", pose=id.pose)
+                        if id.kind == ISO
+                        else f"{id.how} {id.direction}"
+                    )
                 by_place.setdefault(place, []).append(point)
         return {name: from_mean_mm(positions_mm(points)) for name, points in by_place.items()}
 
@@ -182,16 +187,18 @@ class Measured:
             known = np.sort(y[np.isfinite(y)])
             x = np.arange(len(known)) / max(len(known), 1)
             series.append(Series(how.text, INKS[how], x, known, joined=True))
-        what = "grid points" if errors.grid else "targets"
+        what = tr("grid points") if errors.grid else tr("targets")
         ticks = tuple((share / 100, f"{share} %") for share in (0, 25, 50, 75, 95))
-        x_title = f"share of the {what} that have less than this error"
-        return Plot("|e| in rising order, mm", x_title, ticks, tuple(series), *self._limit(errors))
+        x_title = tr("share of the {what} that have less than this error", what=what)
+        return Plot(
+            tr("|e| in rising order, mm"), x_title, ticks, tuple(series), *self._limit(errors)
+        )
 
     def _limit(self, errors: Errors3D) -> tuple[tuple[float, ...], str]:
         """Return the limit and its name; there is none before anything is corrected."""
         corrected = bool(errors.by_how) and not errors.grid
         limits = (self.log.cell.validation.max_tolerance_mm,) if corrected else ()
-        return limits, "limit of each target"
+        return limits, tr("limit of each target")
 
     def poses_plot(self, pick: str = "") -> Plot:
         """Return AP_p of the poses of a pose test so far, over |e| of each visit."""
@@ -203,35 +210,35 @@ class Measured:
             for middle, each in zip(middles, norms_mm, strict=True)
         ]
         ap_mm = np.array([ap_mm for ap_mm, _ in self.figures_by_pose.values()])
-        series = [Series("each visit", AS_SENT, np.concatenate(x), np.concatenate(norms_mm)),
+        series = [Series(tr("each visit"), AS_SENT, np.concatenate(x), np.concatenate(norms_mm)),
                   Series("AP_p", LIVE, middles, ap_mm)] if poses else []  # fmt: skip
         ticks = tuple(zip(middles.tolist(), poses, strict=True))
         limits = () if limit_mm is None else (limit_mm,)
-        title = "pose accuracy AP_p, mm"
-        return Plot(title, "pose", ticks, tuple(series), limits, "limit of AP_p")
+        title = tr("pose accuracy AP_p, mm")
+        return Plot(title, tr("pose"), ticks, tuple(series), limits, tr("limit of AP_p"))
 
     def recheck_plot(self, pick: str = "") -> Plot:
         """Return |e| of the targets of a re-check, beside the bound that is predicted."""
         found_mm, bounds_mm = self.rechecked_mm
         x = _middles(len(found_mm))
-        series = [Series("now", LIVE, x, found_mm)] if len(found_mm) else []
+        series = [Series(tr("now"), LIVE, x, found_mm)] if len(found_mm) else []
         if len(bounds_mm):
-            series.insert(0, Series("95 % bound", PAPER, x, bounds_mm))
-        title = "|e| of the re-checked targets, mm"
-        return Plot(title, "re-checked target", _counted(len(x) or 1), tuple(series))
+            series.insert(0, Series(tr("95 % bound"), PAPER, x, bounds_mm))
+        title = tr("|e| of the re-checked targets, mm")
+        return Plot(title, tr("re-checked target"), _counted(len(x) or 1), tuple(series))
 
     def repeat_plot(self, pick: str = "") -> Plot:
         """Return how far repeated readings of a place lie from their mean."""
         values = self.visits_mm
         if len(values) > len(PLACES):
-            values = {"all visits": np.concatenate([*values.values()])}
+            values = {tr("all visits"): np.concatenate([*values.values()])}
         count = max((len(each) for each in values.values()), default=1)
         series = [
             Series(name, ink, _middles(len(y), count), y)
             for ink, (name, y) in zip(PLACES, values.items(), strict=False)
         ]
-        title = "distance from the mean of the visits, mm"
-        return Plot(title, "visit", _counted(count), tuple(series))
+        title = tr("distance from the mean of the visits, mm")
+        return Plot(title, tr("visit"), _counted(count), tuple(series))
 
     def strip_plot(self, pick: str = "") -> Plot:
         """Return the strip's reading less the station's value at every point, in its own scale.
@@ -241,38 +248,44 @@ class Measured:
         shown = [each for name, each in self.strip_mm.items() if pick in ("", name)]
         values = np.concatenate([np.zeros(0), *shown])
         within_mm, count = self.log.cell.rail.hold_limit_mm, len(values)
-        series = (Series("strip", LIVE, _middles(count), values),) if count else ()
-        return Plot("strip's reading less the station's, mm", "point", _counted(count), series,
-                    (within_mm, -within_mm), "station held within")  # fmt: skip
+        series = (Series(tr("strip"), LIVE, _middles(count), values),) if count else ()
+        title = tr("strip's reading less the station's, mm")
+        return Plot(title, tr("point"), _counted(count), series, (within_mm, -within_mm),
+                    tr("station held within"))  # fmt: skip
 
     def sweep_plot(self, pick: str = "") -> Plot:
         """Return the spectrum of a swept axis, with the lines of its gears."""
         axes = self.swept
-        title, x_title = "transmission error, µrad", "cycles per revolution of the joint"
+        title, x_title = tr("transmission error, µrad"), tr("cycles per revolution of the joint")
         if not axes:
             return Plot(title, x_title, (), ())
         record = self.log.curves[int((pick or axes[0])[1:])]
         spectrum = np.array(record.spectrum).reshape(-1, 2)
         most = 1.02 * float(spectrum[:, 0].max(initial=1.0))
         step = step_at_least(most / MOST_TICKS)
-        ticks = [(n * step / most, f"{n * step:g}") for n in range(math.floor(most / step) + 1)]
-        series = [Series("spectrum", AS_SENT, spectrum[:, 0] / most, spectrum[:, 1], joined=True)]
+        ticks = [
+            (n * step / most, decimal(f"{n * step:g}")) for n in range(math.floor(most / step) + 1)
+        ]
+        series = [
+            Series(tr("spectrum"), AS_SENT, spectrum[:, 0] / most, spectrum[:, 1], joined=True)
+        ]
         lines = [*zip(record.cycles, record.amplitudes_urad, strict=True)]
         if lines:
             x = np.repeat([cycles / most for cycles, _ in lines], STROKE)
             y = np.concatenate([np.linspace(0.0, size, STROKE) for _, size in lines])
-            series.append(Series("gear lines", LIVE, x, y))
-        marks = tuple(Mark(f"{cycles:.1f}", cycles / most, size) for cycles, size in lines)
-        used = "" if record.holds else f"; not used: {record.reason}"
-        return Plot(f"{title}: axis A{record.axis}{used}", x_title, tuple(ticks), tuple(series),
+            series.append(Series(tr("gear lines"), LIVE, x, y))
+        marks = tuple(Mark(decimal(f"{cycles:.1f}"), cycles / most, size) for cycles, size in lines)
+        used = "" if record.holds else tr("; not used: {reason}", reason=record.reason)
+        title = tr("{title}: axis A{axis}{used}", title=title, axis=record.axis, used=used)
+        return Plot(title, x_title, tuple(ticks), tuple(series),
                     marks=marks)  # fmt: skip
 
 
 def target_plot(errors: Errors3D, limits: tuple[float, ...], limit_name: str) -> Plot:
     count, x = max(len(errors.targets), 1), _middles(len(errors.targets))
     series = [Series(how.text, INKS[how], x, y) for how, y in errors.by_how.items()]
-    what = "grid point" if errors.grid else "target"
-    title = f"|e| {what} by {what}, mm"
+    what = tr("grid point") if errors.grid else tr("target")
+    title = tr("|e| {what} by {what}, mm", what=what)
     return Plot(title, what, _counted(count), tuple(series), limits, limit_name)
 
 
@@ -310,7 +323,7 @@ BESIDE = 100  # columns, from which the figures stand beside the plot
 GAP = 3  # columns between both
 LEAST = 8  # rows of a plot
 WIDTH = 31  # columns of the figures
-HEADS = "mean", "95 %", "max"
+HEADS = marked("mean"), "95 %", marked("max")
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,7 +374,7 @@ class Choice:
 def tab_line(of: Measured, choice: Choice, width: int, style: PlotStyle) -> Content:
     parts, tabs = list[Content](), tabs_for(of.log)
     for n, tab in enumerate(tabs):
-        text = f" {n + 1} {tab.name} "
+        text = f" {n + 1} {tr(tab.name)} "
         if n == choice.tab:
             text = f"[{text[1:-1]}]" if style.plain else text
             parts.append(Content.styled(text, "bold $background on $foreground"))
@@ -369,8 +382,8 @@ def tab_line(of: Measured, choice: Choice, width: int, style: PlotStyle) -> Cont
             parts.append(Content.styled(text, "$label" if style.letters else "$label on $panel"))
     tab, right = tabs[choice.tab], BLANK
     if len(tab.picks(of)) > 1:
-        pick = choice.pick(of, tab) or "all stations"
-        right = Content.assemble((" S ", "bold on $badge"), f" {pick}")
+        pick = choice.pick(of, tab) or tr("all stations")
+        right = Content.assemble((tr(" S "), "bold on $badge"), f" {pick}")
     left = Fitting((Content("  ").join(parts), Content("").join(parts), parts[choice.tab]))
     return Grid([(left, right)], Col(grows=True), Col()).lines(width)[0]
 
@@ -385,9 +398,9 @@ def plot_lines(
     pick = choice.pick(of, tab)
     plot = tab.make(of, pick)
     scale = choice.scale(tab, plot, pick, rows)
-    title = Content.styled(f"{plot.title}{', log scale' * scale.is_log}", "bold")
+    title = Content.styled(f"{plot.title}{tr(', log scale') * scale.is_log}", "bold")
     if not len(plot.values):
-        return [title, Content.styled("nothing measured for this plot yet", "$label")]
+        return [title, Content.styled(tr("nothing measured for this plot yet"), "$label")]
     if 0 < choice.series <= len(plot.series):
         plot = replace(plot, series=plot.series[choice.series - 1 : choice.series])
     across = width - WIDTH - GAP if beside else width
@@ -399,7 +412,7 @@ def plot_lines(
         both = Grid(zip(drawn, figures, strict=False), Col(across), Col(), gap=GAP)
         return [title, *both.lines(width)]
     names = Content("  ").join(
-        Content.assemble(legend_mark(style, each.ink), (f" {each.name}", "$label"))
+        Content.assemble(legend_mark(style, each.ink), (f" {tr(each.name)}", "$label"))
         for each in named
     )
     heading = Grid([(title, Fitting((names,)))], Col(), Col(right=True, grows=True))
@@ -414,14 +427,14 @@ Row = tuple[Text, Text, Numbers]  # a mark, a name and at most three numbers
 
 
 def _short(series: Series) -> str:
-    return "paper" if series.name == Sent.IDW.text else series.name
+    return tr("paper" if series.name == Sent.IDW.text else series.name)
 
 
 def _table(*rows: Row, heads: Sequence[str] = (), bold: str = "") -> Grid:
     """Return rows under the heads of their numbers; ``bold``: whose first number is so."""
     shown: list[list[Cell]] = []
     if heads:
-        shown.append(["", ("mm", "$label"), *((head, "$label") for head in heads)])
+        shown.append(["", ("mm", "$label"), *((tr(head), "$label") for head in heads)])
     for mark, name, numbers in rows:
         first, *others = map(_number, (*numbers, None, None, None)[:3])
         shown.append([mark, name, (first, "bold" if name == bold else ""), *others])
@@ -431,11 +444,11 @@ def _table(*rows: Row, heads: Sequence[str] = (), bold: str = "") -> Grid:
 def _number(value: float | str | None) -> str:
     if value is None or isinstance(value, str):
         return value or ""
-    return f"{round(value, 3) + 0.0:.3f}" if np.isfinite(value) else ""
+    return decimal(f"{round(value, 3) + 0.0:.3f}") if np.isfinite(value) else ""
 
 
-def _figures(words: str, *rows: Row, heads: Sequence[str], title: str = "figures") -> Stack:
-    return Stack(section(title), _table(*rows, heads=heads), BLANK, (words, "$label"))
+def _figures(words: str, *rows: Row, heads: Sequence[str], title: str = marked("figures")) -> Stack:
+    return Stack(section(tr(title)), _table(*rows, heads=heads), BLANK, (words, "$label"))
 
 
 def _three(values: Array) -> Numbers:
@@ -463,13 +476,13 @@ class Figures:
         place = validated_places(log).get(log.cell.grid.station)
         floor = None if place is None else place.floor
         if floor is not None:
-            rows.append(("", ("floor", "$label"), (floor.mean, floor.p95)))
+            rows.append(("", (tr("floor"), "$label"), (floor.mean, floor.p95)))
         if self.plot.limits:
             limits = tolerance_limits(log.cell)
-            rows.append(("", "limit", (limits.mean_mm, None, limits.max_mm)))
+            rows.append(("", tr("limit"), (limits.mean_mm, None, limits.max_mm)))
         parts: list[Lines | Text] = [
-            section("figures"),
-            _table(*rows, heads=HEADS, bold=Sent.CHOSEN.text),
+            section(tr("figures")),
+            _table(*rows, heads=HEADS, bold=tr(Sent.CHOSEN.text)),
         ]
         if Sent.CHOSEN in errors.by_how:
             parts += self._by_station() + self._worst(errors) + self._words(errors, floor)
@@ -482,8 +495,10 @@ class Figures:
             rp_mm = repeatability_mm(distances_mm) if len(distances_mm) > 1 else None
             numbers = (float(distances_mm.mean()), rp_mm, float(distances_mm.max()))
             rows.append((legend_mark(self.style, inks.get(name, PLACES[0])), name, numbers))
-        words = f"RP: mean + 3 s of the distances from the mean (ISO 9283, {RP.clause})."
-        return _figures(words, *rows, heads=("mean", "RP", "max"))
+        words = tr(
+            "RP: mean + 3 s of the distances from the mean (ISO 9283, {clause}).", clause=RP.clause
+        )
+        return _figures(words, *rows, heads=(tr("mean"), "RP", tr("max")))
 
     def poses(self) -> Lines:
         rows: list[Row] = [
@@ -493,10 +508,13 @@ class Figures:
         table = self.of.log.cell.iso9283
         stated, words = (table.ap_limit_mm, table.rp_limit_mm), ""
         if any(each is not None for each in stated):
-            rows.append(("", "limit", stated))
+            rows.append(("", tr("limit"), stated))
         else:
-            words = "No limits are stated (iso9283.ap_limit_mm, iso9283.rp_limit_mm). "
-        words += f"AP_p: from the commanded place to the visits' mean (ISO 9283, {AP.clause})."
+            words = tr("No limits are stated (iso9283.ap_limit_mm, iso9283.rp_limit_mm). ")
+        words += tr(
+            "AP_p: from the commanded place to the visits' mean (ISO 9283, {clause}).",
+            clause=AP.clause,
+        )
         return _figures(words, *rows, heads=("AP_p", "RP_l", "n"))
 
     def recheck(self) -> Lines:
@@ -504,16 +522,22 @@ class Figures:
         now_mm, bounds_mm = self.of.rechecked_mm
         rows = self._series(_three(each.y) for each in self.plot.series)
         if not len(bounds_mm):
-            words = "The calibration predicts no bound of these targets."
+            words = tr("The calibration predicts no bound of these targets.")
             return _figures(words, *rows, heads=HEADS)
         worst: list[Row] = [
-            ("", f"target {n + 1}", (float(bounds_mm[n]), None, float(now_mm[n])))
+            ("", tr("target {n}", n=n + 1), (float(bounds_mm[n]), None, float(now_mm[n])))
             for n in np.argsort(-now_mm, kind="stable")[: Figures.MOST_WORST].tolist()
         ]
         over = int(np.sum(~(now_mm <= bounds_mm)))
-        words = f"{over} of {len(now_mm)} targets over their bound; 95 % are expected below it."
-        below = _figures(words, *worst, heads=("bound", "", "now"), title="worst targets")
-        return Stack(section("figures"), _table(*rows, heads=HEADS), BLANK, below)
+        words = tr(
+            "{over} of {n} targets over their bound; 95 % are expected below it.",
+            over=over,
+            n=len(now_mm),
+        )
+        below = _figures(
+            words, *worst, heads=(tr("bound"), "", tr("now")), title=tr("worst targets")
+        )
+        return Stack(section(tr("figures")), _table(*rows, heads=HEADS), BLANK, below)
 
     def strip(self) -> Lines:
         """Return mean and largest of the strip's residual, by station, and its limit."""
@@ -522,30 +546,40 @@ class Figures:
             for name, values in self.of.strip_mm.items()
         ]
         rail = self.of.log.cell.rail
-        rows.append(("", "approached", (None, None, rail.strip_tolerance_mm)))
-        rows.append(("", "held within", (None, None, rail.hold_limit_mm)))
-        words = (
+        rows.append(("", tr("approached"), (None, None, rail.strip_tolerance_mm)))
+        rows.append(("", tr("held within"), (None, None, rail.hold_limit_mm)))
+        words = tr(
             "max: largest distance from the station, either way. An approach ends within the "
             "tolerance; a slide at rest may read up to twice as far off."
         )
-        return _figures(words, *rows, heads=("mean", "", "max"))
+        return _figures(words, *rows, heads=(tr("mean"), "", tr("max")))
 
     def sweeps(self) -> Lines:
-        heads = ("axis", "cycles/rev.", "size µrad")
+        heads = (tr("axis"), tr("cycles/rev."), tr("size µrad"))
         rows: list[Sequence[Cell]] = [[(head, "$label") for head in heads]]
         remarks: list[Lines | Text] = []
         for name in self.of.swept:
             record = self.of.log.curves[int(name[1:])]
             style = "bold" if name == (self.pick or self.of.swept[0]) else "$label"
             for cycles, size in zip(record.cycles, record.amplitudes_urad, strict=True):
-                rows.append([(each, style) for each in (name, f"{cycles:.1f}", f"{size:.1f}")])
+                rows.append(
+                    [
+                        (each, style)
+                        for each in (name, decimal(f"{cycles:.1f}"), decimal(f"{size:.1f}"))
+                    ]
+                )
             if not record.holds:
-                remarks.append((f"{name} not used: {record.reason}", "$label"))
+                remarks.append(
+                    (tr("{name} not used: {reason}", name=name, reason=record.reason), "$label")
+                )
             elif not record.cycles:
-                rows.append([(name, style), ("none", style), ""])
-        words = ("Each line is an error, with its cycles per revolution of the joint.", "$label")
+                rows.append([(name, style), (tr("none"), style), ""])
+        words = (
+            tr("Each line is an error, with its cycles per revolution of the joint."),
+            "$label",
+        )
         columns = Col(4), Col(13, right=True), Col(11, right=True)
-        return Stack(section("gear lines"), Grid(rows, *columns), *remarks, BLANK, words)
+        return Stack(section(tr("gear lines")), Grid(rows, *columns), *remarks, BLANK, words)
 
     def _series(self, numbers: Iterable[Numbers]) -> list[Row]:
         named = zip(self.plot.series, numbers, strict=True)
@@ -556,7 +590,7 @@ class Figures:
         if len(errors.stations) < 2:
             return []
         rows = (("", name, _three(values)) for name, values in errors.corrected.items())
-        return [BLANK, section("corrected, by station"), _table(*rows)]
+        return [BLANK, section(tr("corrected, by station")), _table(*rows)]
 
     @staticmethod
     def _worst(errors: Errors3D) -> list[Lines | Text]:
@@ -565,9 +599,15 @@ class Figures:
         for at in np.argsort(-norms_mm, kind="stable")[: Figures.MOST_WORST].tolist():
             if norms_mm[at] >= 0:
                 station, number = errors.targets[at]
-                rows.append((f"target {number + 1}", (station, "$label"), f"{norms_mm[at]:.3f}"))
+                rows.append(
+                    (
+                        tr("target {n}", n=number + 1),
+                        (station, "$label"),
+                        decimal(f"{norms_mm[at]:.3f}"),
+                    )
+                )
         grid = Grid(rows, Col(11), Col(12), Col(5, right=True))
-        return [BLANK, section("worst targets"), grid]
+        return [BLANK, section(tr("worst targets")), grid]
 
     def _words(self, errors: Errors3D, floor: Floor | None) -> list[Lines | Text]:
         limits = tolerance_limits(self.of.log.cell)
@@ -575,40 +615,55 @@ class Figures:
         norms_mm = errors.by_how[Sent.CHOSEN][known]
         over = int(np.sum(~(norms_mm <= limits.max_mm)))
         near = int(np.sum(norms_mm > self.NEAR * limits.max_mm)) - over
-        sentence = "No target near its limit."
+        sentence = tr("No target near its limit.")
         if over or near:
-            sentence = f"{over} over the limit, {near} within {100 * (1 - self.NEAR):.0f} % of it."
+            sentence = tr(
+                "{over} over the limit, {near} within {percent:.0f} % of it.",
+                over=over,
+                near=near,
+                percent=100 * (1 - self.NEAR),
+            )
         means_mm = {name: finite_mean(values) for name, values in errors.corrected.items()}
         worst = max(means_mm, key=means_mm.__getitem__)
-        of_means = "No station's mean near its limit."
+        of_means = tr("No station's mean near its limit.")
         if not means_mm[worst] <= self.NEAR * limits.mean_mm:
-            how = "near" if means_mm[worst] <= limits.mean_mm else "over"
-            mean = f"Mean at {worst} {means_mm[worst]:.3f}"
-            of_means = f"{mean}: {how} its limit {limits.mean_mm:.3f}."
+            how = tr("near") if means_mm[worst] <= limits.mean_mm else tr("over")
+            mean = tr("Mean at {station} {mean_mm:.3f}", station=worst, mean_mm=means_mm[worst])
+            of_means = tr(
+                "{mean}: {how} its limit {limit_mm:.3f}.",
+                mean=mean,
+                how=how,
+                limit_mm=limits.mean_mm,
+            )
         sentences, mean_mm = [sentence, of_means], finite_mean(norms_mm)
         if Sent.BEFORE in errors.by_how and mean_mm > 0:
             times = finite_mean(errors.by_how[Sent.BEFORE][known]) / mean_mm
-            sentences.append(f"Mean {times:.1f} times smaller.")
+            sentences.append(tr("Mean {times:.1f} times smaller.", times=times))
         if floor is not None and floor.mean > 0:
             sentences.append(
-                f"Corrected is {mean_mm / floor.mean:.1f} times the floor that the robot and "
-                "tracker leave by themselves."
+                tr(
+                    "Corrected is {times:.1f} times the floor that the robot and tracker leave by "
+                    "themselves.",
+                    times=mean_mm / floor.mean,
+                )
             )
-        return [BLANK, section("what it tells"), *((each, "$label") for each in sentences)]
+        return [BLANK, section(tr("what it tells")), *((each, "$label") for each in sentences)]
 
 
-REPEAT = Tab("repeatability", Measured.repeat_plot, Figures.visits, is_log=False)
+REPEAT = Tab(marked("repeatability"), Measured.repeat_plot, Figures.visits, is_log=False)
 TABS = (
-    Tab("each target", Measured.errors_plot, Figures.errors, Measured.stations, is_log=True),
-    Tab("sorted", Measured.sorted_plot, Figures.errors, Measured.stations, is_log=True),
+    Tab(
+        marked("each target"), Measured.errors_plot, Figures.errors, Measured.stations, is_log=True
+    ),
+    Tab(marked("sorted"), Measured.sorted_plot, Figures.errors, Measured.stations, is_log=True),
     REPEAT,
 )
-STRIP = Tab("strip", Measured.strip_plot, Figures.strip, lambda of: ("", *of.strip_mm))
-SWEEPS = Tab("sweeps", Measured.sweep_plot, Figures.sweeps, lambda of: of.swept)
+STRIP = Tab(marked("strip"), Measured.strip_plot, Figures.strip, lambda of: ("", *of.strip_mm))
+SWEEPS = Tab(marked("sweeps"), Measured.sweep_plot, Figures.sweeps, lambda of: of.swept)
 MOST_TABS = len((*TABS, STRIP, SWEEPS))
 OF_PROCEDURE = {
-    ISO: (Tab("pose accuracy", Measured.poses_plot, Figures.poses, is_log=False), REPEAT),
-    RECHECK: (Tab("re-check", Measured.recheck_plot, Figures.recheck, is_log=False),),
+    ISO: (Tab(marked("pose accuracy"), Measured.poses_plot, Figures.poses, is_log=False), REPEAT),
+    RECHECK: (Tab(marked("re-check"), Measured.recheck_plot, Figures.recheck, is_log=False),),
 }
 
 

@@ -16,6 +16,7 @@ from hilcell.calibration.measurement_budget import measurement_budget
 from hilcell.calibration.position_errors import counting, position_errors
 from hilcell.geometry.statistics import rms
 from hilcell.journal.log import Log
+from hilcell.language import decimal, marked, tr
 from hilcell.model.outcome import Outcome, outcome_of
 from hilcell.model.point import Point, Sent
 from hilcell.ports import HilcellError
@@ -103,13 +104,13 @@ class PointRow:
     STATES: ClassVar[dict[Outcome, str]] = {Outcome.REJECTED: "out", Outcome.UNDECIDED: "undecided"}
 
     SAID: ClassVar = {  # by state: its word with its shape, and its tone
-        "in": ("● in", "passed"),
-        "out": ("▲ OUT", "*fault"),
-        "undecided": ("▲undec.", "ask"),
-        "noisy": ("▲ noisy", "ask"),
-        "waits": ("○ waits", "live"),
-        "again": ("○ again", "live"),
-        "ok": ("· ok", "label"),
+        "in": (marked("● in"), "passed"),
+        "out": (marked("▲ OUT"), "*fault"),
+        "undecided": (marked("▲undec."), "ask"),
+        "noisy": (marked("▲ noisy"), "ask"),
+        "waits": (marked("○ waits"), "live"),
+        "again": (marked("○ again"), "live"),
+        "ok": (marked("· ok"), "label"),
     }
 
     point: Point
@@ -131,7 +132,8 @@ class PointRow:
 
     def said(self) -> tuple[str, str]:
         judged = self.deviation is not None and self.deviation.limit_mm is not None
-        return self.SAID["in" if self.state == "ok" and judged else self.state]
+        word, tone = self.SAID["in" if self.state == "ok" and judged else self.state]
+        return tr(word), tone
 
     def bar(self) -> tuple[str, str]:
         """Return |e| as a bar; its whole width is the limit, nothing where there is none."""
@@ -152,13 +154,15 @@ def _known(tone: str, text: Callable[[Deviation], str]) -> Callable[[PointRow], 
 
 
 def _error(axis: int) -> Callable[[PointRow], tuple[str, str]]:
-    return _known("", lambda e: f"{e.error_mm[axis]:+z.3f}".replace("-", "−"))
+    return _known("", lambda e: decimal(f"{e.error_mm[axis]:+z.3f}").replace("-", "−"))
 
 
 def _triple(values: Sequence[float] | None, digits: int, room: int) -> str:
     """Return three lengths in mm; decimals that have no room go, no number is cut."""
-    texts = (" ".join(f"{value:.{n}f}" for value in values or ()) for n in range(digits, -1, -1))
-    return next((text for text in texts if len(text) <= room), "see its page")
+    texts = (
+        " ".join(decimal(f"{value:.{n}f}") for value in values or ()) for n in range(digits, -1, -1)
+    )
+    return next((text for text in texts if len(text) <= room), tr("see its page"))
 
 
 STATIONS_FROM, WIDE = 62, 119  # widths of the table: stations have a column; places, too
@@ -174,7 +178,8 @@ _COLUMNS: tuple[Column[PointRow], ...] = (  # after the name
     Column("|e| mm", 6, _known("*", lambda e: figure(e.norm_mm)), right=True),
     Column("", 8, PointRow.bar, least=78, below=WIDE),
     Column("", 8, PointRow.bar, least=128),
-    Column("rms", 6, lambda row: (f"{rms(row.point.std_mm):.3f}", "label"), right=True, least=69),
+    Column("rms", 6, lambda row: (decimal(f"{rms(row.point.std_mm):.3f}"), "label"), right=True,
+           least=69),
     Column("", 0, lambda row: ""),
     Column("state", 7, PointRow.said),
 )  # fmt: skip
@@ -185,8 +190,8 @@ def point_columns(*, bad_only: bool = False, worst: bool = False) -> Sequence[Co
 
     Where the station has no column of its own, it is beside the name.
     """
-    title = ("bad by |e|" if worst else "bad points") if bad_only else "worst first"
-    title = title if bad_only or worst else "point"
+    title = (tr("bad by |e|") if worst else tr("bad points")) if bad_only else tr("worst first")
+    title = title if bad_only or worst else tr("point")
     return (
         Column(title, 14, lambda row: row.point.id.short, least=STATIONS_FROM),
         Column(title, 8, lambda row: f"{row.point.id.short} {row.point.station}".rstrip(),
@@ -274,24 +279,33 @@ def filtered(
 def point_page(view: RunView, key: str) -> Lines:
     point = view.log.points.get(key)
     if point is None:
-        return Stack(f"{key}: the journal holds no such point")
+        return Stack(tr("{key}: the journal holds no such point", key=key))
     row = row_of(view.log, point)
     facts = [
-        ("point", point.id.text(point.station)),
-        ("key", key),
-        ("state", row.state),
-        ("group", point.group),
-        ("station", point.station or "-"),
+        (tr("point"), point.id.text(point.station)),
+        (tr("key"), key),
+        (tr("state"), row.state),
+        (tr("group"), point.group),
+        (tr("station"), point.station or "-"),
     ]
     if (deviation := row.deviation) is not None:
         facts += [
-            ("nominal, world {W}, mm", _numbers(point.nominal_mm or (), 3)),
-            ("measured, world {W}, mm", _numbers(deviation.actual_mm, 3)),
-            ("e = actual - nominal, mm", _numbers(deviation.error_mm, 4, sign="+")),
-            ("|e|, mm", f"{deviation.norm_mm:.4f}"),
+            (tr("nominal, world {W}, mm"), _numbers(point.nominal_mm or (), 3)),
+            (tr("measured, world {W}, mm"), _numbers(deviation.actual_mm, 3)),
+            (tr("e = actual - nominal, mm"), _numbers(deviation.error_mm, 4, sign="+")),
+            ("|e|, mm", decimal(f"{deviation.norm_mm:.4f}")),
         ]
         if deviation.limit_mm is not None:
-            facts.append(("limit, mm", f"{deviation.limit_mm:.3f}, U {deviation.U_mm:.3f} (k = 2)"))
+            facts.append(
+                (
+                    tr("limit, mm"),
+                    tr(
+                        "{limit_mm:.3f}, U {U_mm:.3f} (k = 2)",
+                        limit_mm=deviation.limit_mm,
+                        U_mm=deviation.U_mm,
+                    ),
+                )
+            )
         facts += _repeated(view.log, point)
         point = counting(view.log, point)
     facts += _measured(point, has_rail=view.has_rail)
@@ -305,44 +319,53 @@ def _repeated(log: Log, point: Point) -> list[tuple[str, str]]:
         return []
     counted = measured.index(counting(log, point))
     norms_mm = position_errors(log, measured).norms_mm.tolist()
-    texts = [f"{norm_mm:.4f}" for norm_mm in norms_mm]
-    texts[counted] += " (the larger: counts)"
-    return [("|e| first, then again, mm", ", ".join(texts))]
+    texts = [decimal(f"{norm_mm:.4f}") for norm_mm in norms_mm]
+    texts[counted] += tr(" (the larger: counts)")
+    return [(tr("|e| first, then again, mm"), ", ".join(texts))]
 
 
 def _measured(point: Point, *, has_rail: bool) -> list[tuple[str, str]]:
-    air = "not measured"
+    air = tr("not measured")
     if (weather := point.air) is not None:
-        humidity = f"{weather.humidity_percent:.0f} %"
+        humidity = decimal(f"{weather.humidity_percent:.0f} %")
         air = f"{weather.temperature_c:.2f} C  {weather.pressure_mbar:.1f} mbar  {humidity}"
     facts = [
-        ("reading, tracker {L}, mm", _numbers(point.xyz_mm, 4)),
-        ("standard deviation, mm", f"{_numbers(point.std_mm, 4)}   rms {rms(point.std_mm):.4f}"),
-        ("samples", str(point.samples)),
-        ("reflector", point.reflector),
-        ("air", air),
-        ("readings", _readings(point, has_rail=has_rail)),
-        ("session", str(point.session)),
+        (tr("reading, tracker {L}, mm"), _numbers(point.xyz_mm, 4)),
+        (
+            tr("standard deviation, mm"),
+            f"{_numbers(point.std_mm, 4)}   rms {rms(point.std_mm):.4f}",
+        ),
+        (tr("samples"), str(point.samples)),
+        (tr("reflector"), point.reflector),
+        (tr("air"), air),
+        (tr("readings"), _readings(point, has_rail=has_rail)),
+        (tr("session"), str(point.session)),
     ]
     if point.commanded_deg is not None:
-        facts.append(("joints commanded, deg", _numbers(point.commanded_deg, 3)))
+        facts.append((tr("joints commanded, deg"), _numbers(point.commanded_deg, 3)))
     if point.joints_deg is not None:
-        facts.append(("joints read back, deg", _numbers(point.joints_deg, 3)))
+        facts.append((tr("joints read back, deg"), _numbers(point.joints_deg, 3)))
     if has_rail and point.rail_mm is not None and point.strip_mm is not None:
-        facts.append(("rail / strip, mm", f"{point.rail_mm:.3f} / {point.strip_mm:.2f}"))
+        facts.append(
+            (tr("rail / strip, mm"), decimal(f"{point.rail_mm:.3f} / {point.strip_mm:.2f}"))
+        )
     return facts
 
 
 def _readings(point: Point, *, has_rail: bool) -> str:
     if (times := point.readings) is None:
-        return "times not recorded"
+        return tr("times not recorded")
     rail = times.rail if has_rail else None
     known = {"tracker": times.tracker, "rail": rail, "robot": times.robot}
     ages = ", ".join(f"{name} {each.age_s:.2f}" for name, each in known.items() if each)
     settled_s = times.settled_s
-    rest = "" if settled_s is None else f"; at rest for {settled_s:.2f} s when measured"
-    return f"age at use in s: {ages}{rest}"
+    rest = (
+        ""
+        if settled_s is None
+        else tr("; at rest for {settled_s:.2f} s when measured", settled_s=settled_s)
+    )
+    return tr("age at use in s: {ages}{rest}", ages=ages, rest=rest)
 
 
 def _numbers(values: Sequence[float], digits: int, sign: str = "") -> str:
-    return "  ".join(f"{value:{sign}.{digits}f}" for value in values)
+    return "  ".join(decimal(f"{value:{sign}.{digits}f}") for value in values)

@@ -23,6 +23,7 @@ from textual.content import Content
 from hilcell.calibration.frames import Frames
 from hilcell.geometry.frames import apply
 from hilcell.journal.labels import with_labels
+from hilcell.language import decimal, tr
 from hilcell.model.events import StationHeld
 from hilcell.ports import Array
 from hilcell.run.control import PromptStatus
@@ -90,19 +91,23 @@ class PromptText:
             return ""
         planned = plan.steps[step.number - 1].points if step.number <= len(plan.steps) else 0
         done = len(self.view.measured.get(step.number, ()))
-        return f"{done + 1} of {planned}" if done < planned else ""
+        return tr("{done} of {planned}", done=done + 1, planned=planned) if done < planned else ""
 
     def picture(self) -> Lines:
         """Return the plan, over it the words where they say more than the task."""
         site, placing = Site.of(self.view, self.prompt), self.asks_to_place
-        rest = f"robot at safe pose{', slide held' if self.view.has_rail else ''}: nothing moves"
+        rest = (
+            tr("robot at safe pose, slide held: nothing moves")
+            if self.view.has_rail
+            else tr("robot at safe pose: nothing moves")
+        )
 
         def draw(width: int, height: int) -> list[Content]:
             if width < 1:  # beside the task there is no column left
                 return []
             drawn = [] if site is None or not placing else site.drawn(width, height - 2)
             if drawn:
-                above = Content.styled("from above, to scale", "$label")
+                above = Content.styled(tr("from above, to scale"), "$label")
                 return [above, *drawn, Content.styled(rest, "$label")]
             words = Content(self.prompt.text).wrap(width)
             drawn = [] if site is None else site.drawn(width, height - len(words) - 1)
@@ -128,15 +133,21 @@ class PromptText:
         at, place, layout = BLANK, self.prompt.place, self.view.log.cell.layout
         nests = {nest.name: nest for nest in (*layout.slide, *layout.fixed_nests)}
         if nest := nests.get(place):
-            xyz = f"x {nest.x_mm:.0f} y {nest.y_mm:.0f} z {nest.z_mm:.0f} mm"
-            at = Content.assemble(("at ", "$label"), xyz)
+            xyz = decimal(f"x {nest.x_mm:.0f} y {nest.y_mm:.0f} z {nest.z_mm:.0f} mm")
+            at = Content.assemble((tr("at "), "$label"), xyz)
         if self.aims:
             return [BLANK]
         if not self.asks_to_place:
-            return [Content.styled(f"At {place}" if place else "", "bold"), at]
+            return [Content.styled(tr("At {place}", place=place) if place else "", "bold"), at]
         take = self.view.log.seated
-        lines = [Content.assemble(("Take ", "$label"), f"it out of {take}")] if take else []
-        task = Content.assemble(("Place ", "$label"), (f"it in {place}", "bold"))
+        lines = (
+            [Content.assemble((tr("Take "), "$label"), tr("it out of {take}", take=take))]
+            if take
+            else []
+        )
+        task = Content.assemble(
+            (tr("Place "), "$label"), (tr("it in {place}", place=place), "bold")
+        )
         return [*lines, task, at]
 
     @property
@@ -151,13 +162,19 @@ class PromptText:
         style = "$stale" if not known else "$passed" if self.is_ready else "$ask"
         text = "-.--"
         if known and prompt.seen_mm is not None:
-            text = f"{prompt.seen_mm:.{2 if prompt.seen_mm < 100 else 0}f}"
-        limit = "" if prompt.limit_mm is None else f"{prompt.limit_mm:.2f}"
-        what = "off its place, mm" if prompt.expected_mm is not None else "strip off drive, mm"
+            text = decimal(f"{prompt.seen_mm:.{2 if prompt.seen_mm < 100 else 0}f}")
+        limit = "" if prompt.limit_mm is None else decimal(f"{prompt.limit_mm:.2f}")
+        what = (
+            tr("off its place, mm") if prompt.expected_mm is not None else tr("strip off drive, mm")
+        )
         if low:
             figure = f"{text} mm", f"bold {style}"
-            return [Content.assemble(("off ", "$label"), figure, (f" limit {limit}", "$label"))]
-        beside: list[Cell] = ["", ("limit" if limit else "", "$label"), (limit, "bold")]
+            return [
+                Content.assemble(
+                    (tr("off "), "$label"), figure, (tr(" limit {limit}", limit=limit), "$label")
+                )
+            ]
+        beside: list[Cell] = ["", (tr("limit") if limit else "", "$label"), (limit, "bold")]
         digits = Grid(zip(large(text, style, self.glyphs), beside, strict=True), Col(17), Col())
         return [Content.styled(what, "$label"), *digits.lines(25)]
 
@@ -167,19 +184,23 @@ class PromptText:
         lost = "" if view.stale else lost_devices(view)
         age = "" if prompt.age_s is None else short_age(prompt.age_s + view.status_age_s)
         if lost:
-            look = [Content.styled(f"  last reading {age} ago", "$label")] if age else []
+            look = (
+                [Content.styled(tr("  last reading {age} ago", age=age), "$label")] if age else []
+            )
             return [Content.styled(f"{glyphs.lost} {lost}", "bold $fault"), *look]
         if not age:
-            return [Content.styled(f"{glyphs.stale} no reading yet", "$label")]
-        ago = Content.styled(f"  {age} ago", "$label")
+            return [Content.styled(f"{glyphs.stale} {tr('no reading yet')}", "$label")]
+        ago = Content.styled(tr("  {age} ago", age=age), "$label")
         if view.stale:
-            return [Content.styled(f"{glyphs.stale} last reading {age} ago", "$stale")]
+            return [
+                Content.styled(f"{glyphs.stale} {tr('last reading {age} ago', age=age)}", "$stale")
+            ]
         if self.aims:
-            words = "reflector measured" if prompt.ready else "no reflector yet"
+            words = tr("reflector measured") if prompt.ready else tr("no reflector yet")
         elif prompt.expected_mm is None:
-            words = "strip reading valid" if prompt.ready else "strip reading invalid"
+            words = tr("strip reading valid") if prompt.ready else tr("strip reading invalid")
         else:
-            words = "not visible" if prompt.seen_mm is None else "reflector visible"
+            words = tr("not visible") if prompt.seen_mm is None else tr("reflector visible")
         if prompt.ready:
             return [Content.styled(f"{glyphs.fresh} {words}", "bold $passed"), ago]
         shape = glyphs.stale if prompt.seen_mm is None else glyphs.warned
@@ -189,9 +210,9 @@ class PromptText:
         """Return the key that answers, grey until it would."""
         ready, prompt = self.is_ready, self.prompt
         measures = prompt.expected_mm is not None and self.asks_to_place
-        words = "measure it here" if measures else "go on"
+        words = tr("measure it here") if measures else tr("go on")
         if not prompt.check:
-            words = "when it is done"
+            words = tr("when it is done")
         style = "bold $on-ask on $ask-fill" if ready else "$stale on $badge"
         return Content.assemble((" Enter ", style), (f" {words}", "bold" if ready else "$stale"))
 
@@ -200,8 +221,8 @@ def lost_devices(view: RunView) -> str:
     """Return which devices are lost while the run waits; "" where none is."""
     devices = view.status.devices if view.status is not None else {}
     names = [name for name, device in devices.items() if device.state == "lost"]
-    few = " and ".join(names) if len(names) <= 2 else f"{len(names)} devices"
-    return f"{few} lost" if names else ""
+    few = tr(" and ").join(names) if len(names) <= 2 else tr("{n} devices", n=len(names))
+    return tr("{device} lost", device=few) if names else ""
 
 
 Place = tuple[float, float]  # x and y in {W}, mm
@@ -359,9 +380,9 @@ class _Drawing:
         column, row = self._cell(self._site.tracker_mm)
         column, row = min(max(column, 0), self._columns - 1), min(max(row, 0), self._rows - 1)
         self._put(column, row, "▲", "bold $foreground")
-        under = column - len(" tracker ") // 2, row + 1
-        if not self._put(*under, " tracker ", "$label"):
-            self._named(column, row, "tracker", "$label")
+        under = column - len(tr(" tracker ")) // 2, row + 1
+        if not self._put(*under, tr(" tracker "), "$label"):
+            self._named(column, row, tr("tracker"), "$label")
 
     def _slide(self) -> None:
         """Draw the slide that carries the robot, to scale, at most five columns wide."""
@@ -372,7 +393,7 @@ class _Drawing:
             for x in range(column - across, column + across + 1):
                 core = y == row and abs(x - column) <= max(across - 1, 0)
                 self._put(x, y, *(("█", "$label") if core else ("▒", "$stale")))
-        self._named(column + across, row, "robot", "$foreground")
+        self._named(column + across, row, tr("robot"), "$foreground")
 
     def _rail(self) -> None:
         along, at = self._site.along, self._site.robot_mm
@@ -402,8 +423,12 @@ class _Drawing:
     def _bar(self) -> Content:
         length_mm = step_at_most(10 * self._mm)
         across = max(round(length_mm / self._mm), 2)
-        unit = f"{length_mm / 1000:g} m" if length_mm >= 1000 else f"{length_mm:g} mm"
-        text = f"├{'─' * (across - 1)}┤ {unit}   x ►  y up"
+        unit = (
+            decimal(f"{length_mm / 1000:g} m")
+            if length_mm >= 1000
+            else decimal(f"{length_mm:g} mm")
+        )
+        text = f"├{'─' * (across - 1)}┤ {unit}   {tr('x ►  y up')}"
         return Content.styled(text.center(self._columns)[: self._columns], "$label")
 
 

@@ -31,6 +31,7 @@ from hilcell.journal.labels import (
 )
 from hilcell.journal.log import Log
 from hilcell.journal.runs import short_run
+from hilcell.language import decimal, marked, tr
 from hilcell.model.events import Event, OtherEvent, after
 from hilcell.model.outcome import Outcome
 from hilcell.model.plan import PlannedStep
@@ -66,24 +67,24 @@ from hilcell.tui.text.devices import NAMES, DeviceText, short_age
 from hilcell.tui.text.points import Deviation, deviation_of
 
 STATES = {
-    "looking": ("READING", "label"),
-    "idle": ("NOT STARTED", "label"),
-    "checking": ("CHECKING", "label"),
-    "running": ("RUNNING", "live"),
-    "pausing": ("PAUSING", "ask"),
-    "paused": ("PAUSED", "ask"),
-    "suspended": ("NEEDS OPERATOR", "ask"),
-    "stopping": ("STOPPING", "fault"),
-    "done": ("DONE", "passed"),
-    "intolerant": ("OUT OF TOLERANCE", "fault"),
-    "aborted": ("ABORTED", "label"),
-    "fault": ("FAULT", "fault"),
-    "refused": ("REFUSED", "fault"),
-    "silent": ("NO ANSWER", "fault"),
-    "unreadable": ("UNREADABLE", "fault"),
-    "gone": ("ENGINE LOST", "fault"),
+    "looking": (marked("READING"), "label"),
+    "idle": (marked("NOT STARTED"), "label"),
+    "checking": (marked("CHECKING"), "label"),
+    "running": (marked("RUNNING"), "live"),
+    "pausing": (marked("PAUSING"), "ask"),
+    "paused": (marked("PAUSED"), "ask"),
+    "suspended": (marked("NEEDS OPERATOR"), "ask"),
+    "stopping": (marked("STOPPING"), "fault"),
+    "done": (marked("DONE"), "passed"),
+    "intolerant": (marked("OUT OF TOLERANCE"), "fault"),
+    "aborted": (marked("ABORTED"), "label"),
+    "fault": (marked("FAULT"), "fault"),
+    "refused": (marked("REFUSED"), "fault"),
+    "silent": (marked("NO ANSWER"), "fault"),
+    "unreadable": (marked("UNREADABLE"), "fault"),
+    "gone": (marked("ENGINE LOST"), "fault"),
 }
-NOT_E_STOP = "software stop, not the E-stop"
+NOT_E_STOP = marked("software stop, not the E-stop")
 
 
 def badge(text: str) -> Content:
@@ -94,7 +95,9 @@ def badge(text: str) -> Content:
 def simulation_block() -> Content:
     """Return the mark of a simulated run, in a colour that nothing else has."""
     edge = "$on-sim 60% on $sim-fill"
-    return Content.assemble(("▒", edge), (" SIMULATION ", "bold $on-sim on $sim-fill"), ("▒", edge))
+    return Content.assemble(
+        ("▒", edge), (tr(" SIMULATION "), "bold $on-sim on $sim-fill"), ("▒", edge)
+    )
 
 
 def _labelled(name: str, value: str, most: int) -> Content:
@@ -118,26 +121,30 @@ def duration(seconds: float) -> str:
 
 def moves(*, has_rail: bool) -> str:
     """Return the beginning of a sentence: robot and rail will move."""
-    return "The robot and the rail will move" if has_rail else "The robot will move"
+    return tr("The robot and the rail will move") if has_rail else tr("The robot will move")
 
 
 def resume_text(view: RunView | None) -> str:
     if view is not None and view.calibration_lost:
-        return "Its calibration file is written; nothing moves."
+        return tr("Its calibration file is written; nothing moves.")
     what = moves(has_rail=view is None or view.has_rail)
     if view is not None and any(alarm.ended for alarm in view.alarms):
-        return f"{what}. Its fault requires a new run: resumed, it will most likely fault again."
-    return (
-        f"{what}: the devices are connected again, and the tracker's control points verified "
-        "before anything counts."
+        return tr(
+            "{what}. Its fault requires a new run: resumed, it will most likely fault again.",
+            what=what,
+        )
+    return tr(
+        "{what}: the devices are connected again, and the tracker's control points verified "
+        "before anything counts.",
+        what=what,
     )
 
 
 DeviationOf = Callable[[Log, Point], Deviation | None]
 OUTCOME_STYLES: dict[Outcome, tuple[str, str, str, str]] = {  # role, shape, text, text if old
-    Outcome.ACCEPTED: ("passed", "fresh", Outcome.ACCEPTED.text, "was in tol."),
-    Outcome.UNDECIDED: ("ask", "warned", Outcome.UNDECIDED.text.upper(), "was undecided"),
-    Outcome.REJECTED: ("fault", "warned", Outcome.REJECTED.text.upper(), "was out of tol."),
+    Outcome.ACCEPTED: ("passed", "fresh", Outcome.ACCEPTED.text, marked("was in tol.")),
+    Outcome.UNDECIDED: ("ask", "warned", marked("UNDECIDED"), marked("was undecided")),
+    Outcome.REJECTED: ("fault", "warned", marked("OUT OF TOLERANCE"), marked("was out of tol.")),
 }
 
 
@@ -178,7 +185,7 @@ class Shown:
         stale: bool = False,
     ) -> Shown:
         name = f"{which}: {point.id.text(point.station)}"
-        word = f"{HOW.get(point.id.how, Sent.BEFORE.text)}: no limit"
+        word = tr("{how}: no limit", how=tr(HOW.get(point.id.how, Sent.BEFORE.text)))
         return cls(name, deviation(log, point), remark, stale, word)
 
     @property
@@ -205,7 +212,7 @@ class Shown:
             for name, value_mm in zip(("dx", "dy", "dz"), deviation.error_mm, strict=True)
         ]
         bars = [SignedBar(value_mm / scale_mm, fill) for value_mm in deviation.error_mm]
-        scale = [(each, "$label") for each in (f"±{scale_mm:g}", "mm", "")]
+        scale = [(each, "$label") for each in (decimal(f"±{scale_mm:g}"), "mm", "")]
         rows = zip(("", "", ""), units, digits, components, bars, scale, strict=True)
         return Grid(rows, Col(), Col(3), Col(21), Col(14), Col(28), Col())
 
@@ -214,7 +221,10 @@ class Shown:
         return Content.assemble(
             " ",
             (f"|e| {figure(deviation.norm_mm)} mm", f"bold {self.tone}"),
-            (f"   dx {dx}  dy {dy}  dz {dz}", "$stale" if self.stale else "$label"),
+            (
+                tr("   dx {dx}  dy {dy}  dz {dz}", dx=dx, dy=dy, dz=dz),
+                "$stale" if self.stale else "$label",
+            ),
         )
 
     def tolerance(self, deviation: Deviation, glyphs: Glyphs) -> list[list[Cell]]:
@@ -234,27 +244,35 @@ class Shown:
         digits = 2 if math.isclose(100 * deviation.limit_mm / 4 % 1, 0, abs_tol=1e-9) else 3
         ticks = [(0.0, Content.styled("0", "$label"))]
         for quarter in (1, 2, 3):
-            text = f"{deviation.limit_mm * quarter / 4:.{digits}f}"
+            text = decimal(f"{deviation.limit_mm * quarter / 4:.{digits}f}")
             ticks.append((self.TO_LIMIT * quarter / 4, Content.styled(text, "$label")))
-        limit = Content.assemble((f"{deviation.limit_mm:.{digits}f}", "bold"), (" limit", "$label"))
+        limit = Content.assemble(
+            (decimal(f"{deviation.limit_mm:.{digits}f}"), "bold"), (tr(" limit"), "$label")
+        )
         ticks.append((self.TO_LIMIT, limit))
-        U = (f"U {deviation.U_mm:.3f} mm", "$label")
+        U = (decimal(f"U {deviation.U_mm:.3f} mm"), "$label")
         return [["", label, bar], ["", U, Ticks(tuple(ticks))]]
 
     @staticmethod
     def _signed(value_mm: float) -> str:
-        return f"{value_mm:+z.3f}".replace("-", "−") if math.isfinite(value_mm) else "-.---"
+        return (
+            decimal(f"{value_mm:+z.3f}").replace("-", "−") if math.isfinite(value_mm) else "-.---"
+        )
 
     @classmethod
     def newest(cls, view: RunView, deviation: DeviationOf = deviation_of) -> Shown:
         """Return the newest point of a live run; never one of an earlier step in bright digits."""
         point = view.newest
         if point is None:
-            return cls("no point measured yet", None, "")
+            return cls(tr("no point measured yet"), None, "")
         age_s = view.newest_age_s
-        age = f"{short_age(age_s)} ago" if age_s <= cls.STALE_S else f"{short_age(age_s)} old"
+        age = (
+            tr("{age} ago", age=short_age(age_s))
+            if age_s <= cls.STALE_S
+            else tr("{age} old", age=short_age(age_s))
+        )
         old = view.newest_is_old or not age_s <= cls.STALE_S or view.stale
-        which = "last point" if view.newest_is_old else "newest point"
+        which = tr("last point") if view.newest_is_old else tr("newest point")
         return cls.of(view.log, point, which, deviation, age, stale=old)
 
     @classmethod
@@ -264,8 +282,8 @@ class Shown:
         """Return that under the table's cursor; not ``chosen``: the cursor was only there."""
         point = view.log.points.get(key)
         if point is None:
-            return cls("no point measured yet", None, "")
-        which = "chosen point" if chosen else "last point"
+            return cls(tr("no point measured yet"), None, "")
+        which = tr("chosen point") if chosen else tr("last point")
         return cls.of(view.log, point, which, deviation)
 
     def lines(self, glyphs: Glyphs, rows: int = FULL_ROWS) -> Lines:
@@ -275,7 +293,7 @@ class Shown:
             remark = Content.styled(f"{glyphs.warned} {self.remark}", "$ask")
         head = Rule(Content.styled(self.name, "bold $label"), remark)
         if deviation is None:
-            none = "no nominal place, so no deviation" if self.remark else ""
+            none = tr("no nominal place, so no deviation") if self.remark else ""
             return Stack(head, (f" {none}", "$label"), *[BLANK] * (rows - 2))
         tolerance = self.tolerance(deviation, glyphs)
         columns = Col(), Col(17), Col(10, grows=True, most=55)
@@ -287,9 +305,9 @@ class Shown:
 
 
 PARTS = {
-    "flange": "{step}: {count} points",
-    "sweep": "{step}: {count} sweeps",
-    "leg": "Rail to the next station",
+    "flange": marked("{step}: {count} points"),
+    "sweep": marked("{step}: {count} sweeps"),
+    "leg": marked("Rail to the next station"),
 }
 
 
@@ -302,11 +320,15 @@ def _reading(name: str, devices: Mapping[str, DeviceStatus]) -> str:
     """Return the last readings of the devices that a condition is about."""
     text = {device: status.text for device, status in devices.items() if status.text}
     if name == NAMES["robot move"]:
-        strip = f", strip {text['strip']}" if "strip" in text else ""
-        return f"slide {text['rail']}{strip}" if "rail" in text else ""
+        strip = tr(", strip {position}", position=text["strip"]) if "strip" in text else ""
+        return (
+            tr("slide {position}{strip}", position=text["rail"], strip=strip)
+            if "rail" in text
+            else ""
+        )
     if name == NAMES["rail move"]:
-        return f"robot {text['robot']}" if "robot" in text else ""
-    return f"last reading {text['tracker']}" if "tracker" in text else ""
+        return tr("robot {pose}", pose=text["robot"]) if "robot" in text else ""
+    return tr("last reading {position}", position=text["tracker"]) if "tracker" in text else ""
 
 
 def _merged(parts: Sequence[RemainingSpan]) -> list[RemainingSpan]:
@@ -329,18 +351,18 @@ class RunText:
 
     LOUD: ClassVar = ("ask", "fault")  # roles whose states fill the first row
     NO_PLAN_TEXTS: ClassVar = {  # where there is no plan in the journal
-        EngineState.UNKNOWN: "reading ...",
-        EngineState.NONE: "nothing was recorded",
-        EngineState.STARTING: "the engine starts ...",
-        EngineState.ANSWERING: "nothing to see yet",
-        EngineState.SILENT: "nothing to see yet",
+        EngineState.UNKNOWN: marked("reading ..."),
+        EngineState.NONE: marked("nothing was recorded"),
+        EngineState.STARTING: marked("the engine starts ..."),
+        EngineState.ANSWERING: marked("nothing to see yet"),
+        EngineState.SILENT: marked("nothing to see yet"),
     }
     MOTIONS: ClassVar = {
-        "robot.park": "robot sent to its safe pose",
-        "robot.move": "robot sent to {point}",
-        "robot.sweep": "robot begins the {point}",
-        "rail.home": "rail sent to its reference",
-        "rail.approach": "rail sent to {station}",
+        "robot.park": marked("robot sent to its safe pose"),
+        "robot.move": marked("robot sent to {point}"),
+        "robot.sweep": marked("robot begins the {point}"),
+        "rail.home": marked("rail sent to its reference"),
+        "rail.approach": marked("rail sent to {station}"),
     }
     MOST_STEPS: ClassVar = 5
     MOST_EVENTS: ClassVar = 6
@@ -352,9 +374,10 @@ class RunText:
         """Return the state's word and role: of a run that ended with exit 1, its outcome."""
         view = self.view
         if view.state != "intolerant":
-            return STATES[view.state]
+            word, role = STATES[view.state]
+            return tr(word), role
         words = view.log.outcome_text.partition(";")[0]
-        return words.upper(), "ask" if view.log.outcome is Outcome.UNDECIDED else "fault"
+        return tr(words).upper(), "ask" if view.log.outcome is Outcome.UNDECIDED else "fault"
 
     def role(self) -> str:
         """Return the role of the state's colour; RUNNING is not bright without a fresh status."""
@@ -374,7 +397,7 @@ class RunText:
             Content.styled(f" {self.glyphs.states[view.state]} {self.state_label()[0]} ", fill)
         ]
         if view.engine is not EngineState.UNKNOWN and background is None:
-            parts.append(badge("LIVE" if view.live else "HISTORIC"))
+            parts.append(badge(tr("LIVE") if view.live else tr("HISTORIC")))
         if view.simulated:
             parts.append(simulation_block())
         notices, style = self._notices(background), "$label"
@@ -389,54 +412,69 @@ class RunText:
         view = self.view
         if background is not None:
             word = RunText(background, self.glyphs).state_label()[0]
-            stop = "use the E-stop" if background.state == "silent" else "Esc stops"
+            stop = tr("use the E-stop") if background.state == "silent" else tr("Esc stops")
             return (
-                f"background: {word}; q shows it, {stop}",
-                f"background: {word}; {stop}",
-                "1 in background",
+                tr("background: {word}; q shows it, {stop}", word=word, stop=stop),
+                tr("background: {word}; {stop}", word=word, stop=stop),
+                tr("1 in background"),
             )
         if view.state == "silent":
-            since = f" for {short_age(view.status_age_s)}" if view.status is not None else ""
-            return f"silent{since}: use the E-stop", "use the E-stop"
-        return (NOT_E_STOP if view.live or view.state == "looking" else "nothing is connected",)
+            since = (
+                tr(" for {age}", age=short_age(view.status_age_s))
+                if view.status is not None
+                else ""
+            )
+            return tr("silent{since}: use the E-stop", since=since), tr("use the E-stop")
+        live = view.live or view.state == "looking"
+        return (tr(NOT_E_STOP) if live else tr("nothing is connected"),)
 
     def end_text(self) -> str:
         worst = max(
             self.view.alarms, key=lambda alarm: SEVERITIES.index(alarm.severity), default=None
         )
         why = f": {worst.code} {worst.title}" if worst is not None else ""
-        return f"the background run {self.view.run} has ended: {self.state_label()[0]}{why}"
+        return tr(
+            "the background run {run} has ended: {state}{why}",
+            run=self.view.run,
+            state=self.state_label()[0],
+            why=why,
+        )
 
     def identity(self) -> Lines:
         view = self.view
         plan = view.log.plan
         if plan is None:
-            begun = self.NO_PLAN_TEXTS[view.engine]
-            return ends(f"run {view.run}: {view.trouble or begun}", "")
+            begun = tr(self.NO_PLAN_TEXTS[view.engine])
+            return ends(tr("run {run}: {trouble}", run=view.run, trouble=view.trouble or begun), "")
         names = {
-            "cell": str(plan.cell.get("name", "?")),
-            "job": plan.job,
-            "operator": plan.operator,
+            tr("cell"): str(plan.cell.get("name", "?")),
+            tr("job"): plan.job,
+            tr("operator"): plan.operator,
         }
         parts = [Content.styled(procedure_label(plan.procedure), "bold")]
         parts += [_labelled(name, text, 20) for name, text in names.items() if text]
-        parts.append(Content.styled("unattended" if plan.unattended else "attended", "$label"))
-        return ends(Content("   ").join(parts), _labelled("run", short_run(view.run), 14))
+        parts.append(
+            Content.styled(tr("unattended") if plan.unattended else tr("attended"), "$label")
+        )
+        return ends(Content("   ").join(parts), _labelled(tr("run"), short_run(view.run), 14))
 
     def step(self) -> Lines:
         """Return the current step in words, and how many of its part are measured."""
         view = self.view
         plan, now = view.log.plan, view.step
         if plan is None or not now:
-            return ends(("no step yet", "$label"), "")
+            return ends((tr("no step yet"), "$label"), "")
         name = step_label(now.name, has_rail=view.has_rail)
         words, (taken, planned) = self._part(), self._of_step(now.number)
         if view.state in ("done", "intolerant"):
-            words, planned = "finished", plan.points
+            words, planned = tr("finished"), plan.points
             taken = min(sum(map(len, view.measured.values())), planned)
-        which = f"Step {now.number} of {now.of}  ", "$label"
+        which = tr("Step {number} of {of}  ", number=now.number, of=now.of), "$label"
         head = Content.assemble(which, (name, "bold"), f": {words}" if words else "")
-        return ends(head, (f"{taken} of {planned}" if planned else "", "bold"))
+        return ends(
+            head,
+            (tr("{taken} of {planned}", taken=taken, planned=planned) if planned else "", "bold"),
+        )
 
     def _part(self) -> str:
         """Return the part in progress, by its last point; "" where the count is of others."""
@@ -464,13 +502,17 @@ class RunText:
         done = Bar(self.share_done(), "$label" if calm else f"${tone}-fill")
         # A point that is re-measured is beyond the plan, which has nothing left.
         known = bool(view.remaining_s) and view.state != "checking"
-        left = f"{duration(view.remaining_s or 0.0)} left" if known else ""
+        left = tr("{time} left", time=duration(view.remaining_s or 0.0)) if known else ""
         if not view.live:
             ended = bool(view.records) and view.log.end is not None
-            left = f"at {local_time_text(view.records[-1].t)}" if ended else ""
+            left = tr("at {time}", time=local_time_text(view.records[-1].t)) if ended else ""
         elif view.state == "suspended":
-            left = "at rest"
-        row: list[Cell] = [done, f"{duration(view.elapsed_s)} worked", (left, "bold")]
+            left = tr("at rest")
+        row: list[Cell] = [
+            done,
+            tr("{time} worked", time=duration(view.elapsed_s)),
+            (left, "bold"),
+        ]
         bar = Col(8, grows=True, most=43)
         return Grid([row], bar, Col(16, right=True), Col(1, right=True, grows=True))
 
@@ -492,13 +534,13 @@ class RunText:
         plan, now = view.log.plan, view.step
         if plan is None or not now or not view.live:
             return BLANK
-        words = "the end"
+        words = tr("the end")
         if now.number < len(plan.steps):
             words = step_label(plan.steps[now.number].name, has_rail=view.has_rail)
         known = bool(view.ahead) and view.state == "running" and not view.stale
         left_s = sum(part.takes_s for part in view.ahead if part.step == now.number)
-        when = f", in {duration(left_s)}" if known else ""
-        return Content.styled(f"next: {words}{when}", "$label")
+        when = tr(", in {time}", time=duration(left_s)) if known else ""
+        return Content.styled(tr("next: {words}{when}", words=words, when=when), "$label")
 
     def below(self, errors_mm: Mapping[str, float], rows: int) -> Lines:
         """Return the block in at most so many rows; a run that is over has events alone."""
@@ -525,7 +567,7 @@ class RunText:
                 style = "$label" if events else "$foreground"
                 time = f" {in_zone(record.t):%H:%M:%S} "
                 events.append([(time, "$label"), (harmless(words), style)])
-        return [section("newest events", zone), Grid(events, Col(), Col(grows=True))]
+        return [section(tr("newest events"), zone), Grid(events, Col(), Col(grows=True))]
 
     def event_text(self, record: Record, errors_mm: Mapping[str, float]) -> str:
         """Return an event in words; nothing for what other lines of the screen tell."""
@@ -533,26 +575,42 @@ class RunText:
         match record.fact:
             case Point() as point:
                 error_mm = errors_mm.get(point.key)
-                size = "" if error_mm is None else f": |e| {error_mm:.3f} mm"
-                return f"measured {point_label(point.key, log)}{' again' * point.retaken}{size}"
+                size = "" if error_mm is None else decimal(f": |e| {error_mm:.3f} mm")
+                return tr(
+                    "measured {point} again{size}" if point.retaken else "measured {point}{size}",
+                    point=point_label(point.key, log),
+                    size=size,
+                )
             case Intended(action=action, station=station):
                 place = with_labels(record.key, log)
                 if action in self.MOTIONS:
-                    return self.MOTIONS[action].format(station=station, point=place)
+                    return tr(self.MOTIONS[action], station=station, point=place)
                 return f"{action.replace('.', ' ')} {place}".strip()
             case Event() | OtherEvent() as event:
                 return event_label(event, log)
             case Ended(state=state, exit=code):
-                return f"the session has ended: {state}, exit {code}"
+                return tr("the session has ended: {state}, exit {code}", state=state, code=code)
             case StateChanged(machine="run", to=to, reason=reason):
-                return f"the run is {to}{after(with_labels(reason.replace(chr(10), ' '), log))}"
+                return tr(
+                    "the run is {state}{why}",
+                    state=tr(to),
+                    why=after(with_labels(reason.replace(chr(10), " "), log)),
+                )
             case Verdict(holds=holds) as verdict:
                 figures = "".join(
-                    f": {of.name} {of.value:.3f} {of.unit}, limit {of.limit:.3f} {of.unit}"
+                    tr(
+                        ": {name} {value:.3f} {unit}, limit {limit:.3f} {unit}",
+                        name=of.name,
+                        value=of.value,
+                        unit=of.unit,
+                        limit=of.limit,
+                    )
                     for of in verdict.figures[:1]
                     if of.value is not None and of.limit is not None
                 )
-                return f"{verdict_label(record.key)} {'passes' if holds else 'fails'}{figures}"
+                return (
+                    f"{verdict_label(record.key)} {tr('passes') if holds else tr('fails')}{figures}"
+                )
         return ""
 
     def interlocks(self) -> list[Lines | Text]:
@@ -563,26 +621,33 @@ class RunText:
         view = self.view
         locked = DeviceText(view, self.glyphs).locks()
         if not locked or view.status is None:
-            return [section("interlocks"), (f" {self.glyphs.stale} no reading", "$stale")]
+            return [
+                section(tr("interlocks")),
+                (f" {self.glyphs.stale} {tr('no reading')}", "$stale"),
+            ]
         rows: list[list[Cell]] = []
         for each in locked:
             whys = each.whole or _reading(each.name, view.status.devices), each.short
             why = Fitting(tuple(Content.styled(text, "$label") for text in whys))
-            rows.append([(f" {each.shape}", each.tone), (each.name, "bold"), each.word, why])
-        return [section("interlocks"), Grid(rows, Col(2), Col(7), Col(6), Col(grows=True))]
+            rows.append([(f" {each.shape}", each.tone), (tr(each.name), "bold"), each.word, why])
+        return [section(tr("interlocks")), Grid(rows, Col(2), Col(7), Col(6), Col(grows=True))]
 
     def steps(self, rows: int) -> list[Lines | Text]:
         """Return the step in progress and those after it, their start and duration."""
-        heading, starts_s = section("next steps", "starts in   takes"), 0.0
+        heading, starts_s = section(tr("next steps"), tr("starts in   takes")), 0.0
         steps: list[Sequence[Cell]] = []
-        start, style, shape = "now", "$foreground", " " if self.view.at_rest else self.glyphs.moving
+        start, style, shape = (
+            tr("now"),
+            "$foreground",
+            " " if self.view.at_rest else self.glyphs.moving,
+        )
         for words, takes_s in self._spans()[: min(rows - 1, self.MOST_STEPS)]:
             cells = ((text, style) for text in (words, start, duration(takes_s)))
             steps.append(((f" {shape}", "$live"), *cells, ""))
             starts_s += takes_s
             start, style, shape = duration(starts_s), "$label", " "
         if not steps:
-            return [heading, ("   not known yet", "$label")]
+            return [heading, (tr("   not known yet"), "$label")]
         columns = Col(2), Col(grows=True), Col(8, right=True), Col(8, right=True), Col(1)
         return [heading, Grid(steps, *columns)]
 
@@ -599,7 +664,7 @@ class RunText:
                 listed.append((step, sum(part.takes_s for part in parts)))
             else:
                 for part in _merged([*parts]):
-                    other = "{step}: {count} readings" if part.measured else "{step}"
-                    words = PARTS.get(part.kind, other).format(step=step, count=part.measured)
+                    other = marked("{step}: {count} readings") if part.measured else "{step}"
+                    words = tr(PARTS.get(part.kind, other), step=step, count=part.measured)
                     listed.append((words, part.takes_s))
         return listed

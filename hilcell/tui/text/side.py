@@ -18,6 +18,7 @@ from textual.content import Content
 
 from hilcell.calibration.recheck import KIND as RECHECK
 from hilcell.journal.log import Log
+from hilcell.language import marked, tr
 from hilcell.model.point import BOTH, Sent
 from hilcell.model.verdicts import ISO
 from hilcell.ports import Array
@@ -29,8 +30,8 @@ from hilcell.tui.text.points import PointRow
 
 MAP_ROWS, LEAST_PLOT = 22, 9
 OWN = {
-    ISO: ("|e| of the poses", Measured.poses_plot),
-    RECHECK: ("|e| re-checked", Measured.recheck_plot),
+    ISO: (marked("|e| of the poses"), Measured.poses_plot),
+    RECHECK: (marked("|e| re-checked"), Measured.recheck_plot),
 }
 KINDS = ("grid", "validate", *OWN)
 Rows = list[PointRow]
@@ -48,7 +49,7 @@ def side_lines(
     """Return the lines, at most ``height``, and the plot's scale, for the next time."""
     targets = [row for row in rows if row.point.id.kind in KINDS and row.deviation is not None]
     if not targets:
-        nothing = "the map and the errors appear with the first target"
+        nothing = tr("the map and the errors appear with the first target")
         return Content.styled(nothing, "$label").wrap(width), before
     room = min(MAP_ROWS, height - LEAST_PLOT)
     above = Volume.of(view.log, targets).lines(width, room, plain=style.plain)
@@ -71,22 +72,24 @@ def _plot(log: Log, targets: Rows) -> Plot:
     errors = Errors3D.of([row.point for row in rows], norms_mm, grid=grid)
     errors = replace(errors, by_how={how: e for how, e in errors.by_how.items() if how in BOTH})
     limits = () if grid else (log.cell.validation.max_tolerance_mm,)
-    plot = target_plot(errors, limits, "limit")
+    plot = target_plot(errors, limits, tr("limit"))
     what = plot.x_title
-    return replace(plot, title=f"|e| at {newest.station}, {what} by {what}, mm")
+    return replace(
+        plot, title=tr("|e| at {station}, {what} by {what}, mm", station=newest.station, what=what)
+    )
 
 
 def _means(plot: Plot, style: PlotStyle, width: int) -> Content:
     """Return the means and the limit's mark, as far as there is room; no mean is cut."""
-    limit = [(" ─ limit", "$foreground")] if plot.limits else []
+    limit = [(tr(" ─ limit"), "$foreground")] if plot.limits else []
     for series, named, rest in (
         (plot.series, True, limit), (plot.series, True, []),
         (plot.series[-1:], True, []), (plot.series[-1:], False, []),
     ):  # fmt: skip
         line = Content("")
         for each in series:
-            name = f"{each.name}: " if named else ""
-            words = f" {name}mean {finite_mean(each.y):.3f} "
+            name = f"{tr(each.name)}: " if named else ""
+            words = tr(" {name}mean {mean_mm:.3f} ", name=name, mean_mm=finite_mean(each.y))
             line = Content.assemble(line, " ", legend_mark(style, each.ink), (words, "$label"))
         line = Content.assemble(line, *rest)
         if line.rstrip().cell_length <= width:
@@ -151,11 +154,15 @@ class Volume:
 
     def heading(self, width: int) -> Content:
         """Return the heading with as many of its words as fit."""
-        count = f"{len(self.errors_mm)}{f' of {self.planned}' if self.planned else ''}"
-        for title, remark in ((f"map: {self.title}", f"{count} targets"), (f"map: {count}", "")):
+        n = len(self.errors_mm)
+        count = tr("{n} of {planned}", n=n, planned=self.planned) if self.planned else str(n)
+        for title, remark in (
+            (tr("map: {title}", title=self.title), tr("{count} targets", count=count)),
+            (tr("map: {count}", count=count), ""),
+        ):
             if len(title) + len(remark) + 4 * (1 + bool(remark)) <= width:  # rules beside the words
                 return section(title, remark).lines(width)[0]
-        return section("map").lines(width)[0]
+        return section(tr("map")).lines(width)[0]
 
     @classmethod
     def of(cls, log: Log, targets: Rows) -> Volume:
@@ -165,7 +172,7 @@ class Volume:
         shown = after or raw or targets
         last = max(range(len(shown)), key=lambda n: log.recorded(shown[n].point))
         newest = max(targets, key=lambda row: log.recorded(row.point))
-        errors = ("|e| after correction" if after else "|e| as sent",)
+        errors = (tr("|e| after correction") if after else tr("|e| as sent"),)
         title = OWN.get(newest.point.id.kind, errors)[0]
         rail = (
             int(np.argmax(np.abs(log.cell.layout.rail_direction[:2]))) if log.cell.has_rail else 1
@@ -222,7 +229,11 @@ class Volume:
         rows = min(Views.ROWS, (room - 1) // 2 - Views.FRAME if both else room - Views.FRAME - 1)
         if views.columns >= 8 and rows >= 2:
             first = views.above(rows)
-            key: list[Text] = [("|e| in mm", "$label"), *legend, ("blank: not yet", "$label")]
+            key: list[Text] = [
+                (tr("|e| in mm"), "$label"),
+                *legend,
+                (tr("blank: not yet"), "$label"),
+            ]
             key += [""] * len(first)
             grid = Grid(zip(first, key, strict=False), Col(), Col(), gap=Views.GAP)
             lines += grid.lines(width) if beside else first
@@ -254,7 +265,7 @@ class Views:
             words = f" {'>' if last else '≤'} {bounds[grade - last]:.2f} ", "$label"
             shape = self._grades.drawn(grade, plain=self._plain)
             lines.append(Content.assemble(shape, words, f"{count:>4}"))
-        return [*lines, Content.assemble(self._newest, (" newest", "$label"))]
+        return [*lines, Content.assemble(self._newest, (tr(" newest"), "$label"))]
 
     def flowing(self, width: int) -> Lines:
         """Return the legend in rows of as many entries as fit."""
@@ -270,18 +281,18 @@ class Views:
         of, across = self.of, 1 - self.of.rail
         size_m = float(of.high_mm[of.rail] - of.low_mm[of.rail]) / 1000.0
         cells = self._view((of.rail, across), self.columns, rows)
-        top = f"from above: {self.AXES[across]} up"
+        top = tr("from above: {axis} up", axis=self.AXES[across])
         return self._framed(cells, top, f"{size_m:.2f} m, {self._rail}")
 
     def sides(self, rows: int, *, both: bool) -> tuple[Lines, Lines]:
         """Return the view from the side, and that along the rail, empty where not ``both``."""
         cells = self._view((self.of.rail, self.UP), self.columns, rows)
-        side = self._framed(cells, "from the side: z up", self._rail)
+        side = self._framed(cells, tr("from the side: z up"), self._rail)
         if not both:
             return side, [Content("")] * len(side)
         across = 1 - self.of.rail
         along = self._view((across, self.UP), self.ALONG, rows)
-        return side, self._framed(along, "z up", f"{self.AXES[across]} ►")
+        return side, self._framed(along, tr("z up"), f"{self.AXES[across]} ►")
 
     def stations(self) -> Content:
         of, width = self.of, self.columns + self.FRAME
@@ -299,7 +310,7 @@ class Views:
 
     @property
     def _rail(self) -> str:
-        return f"{'rail ' * bool(self.of.stations)}{self.AXES[self.of.rail]} ►"
+        return f"{tr('rail ') * bool(self.of.stations)}{self.AXES[self.of.rail]} ►"
 
     def _view(self, axes: tuple[int, int], columns: int, rows: int) -> Lines:
         """Return the cells of a view: ``axes`` are those to the right and up."""

@@ -1,0 +1,1 @@
+"""Catalogues of the texts of this package, one a language; `hilcell.language` reads them."""

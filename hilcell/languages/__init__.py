@@ -1,0 +1,1 @@
+"""The core's texts in other languages: `hilcell.language` reads the catalogues."""
