@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cache
 from importlib import resources
@@ -32,6 +32,11 @@ class Language(Formatter):
     texts: Mapping[str, str] = field(default_factory=dict)
     decimal: str = "."
 
+    @property
+    def code(self) -> str:
+        """The code of HTML: ``de``."""
+        return self.locale.partition("_")[0] or "en"
+
     def text(self, english: str, values: Mapping[str, object]) -> str:
         """Return the text with its values; in English where the translation does not fit them."""
         text = self.texts.get(english, english)
@@ -41,6 +46,12 @@ class Language(Formatter):
             return self.vformat(text, (), values)
         except (LookupError, ValueError):
             return self.vformat(english, (), values)
+
+    def in_ascii(self) -> Language:
+        """Return the language for a terminal without its letters: ``ä`` as ``ae``."""
+        spelt = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "Ä": "Ae", "Ö": "Oe",
+                               "Ü": "Ue", "„": '"', "“": '"'})  # fmt: skip
+        return replace(self, texts={key: text.translate(spelt) for key, text in self.texts.items()})
 
     def format_field(self, value: object, format_spec: str) -> str:
         text = format(value, format_spec)
@@ -63,6 +74,10 @@ def speaking(language: Language) -> Iterator[None]:
         yield
     finally:
         _SPOKEN.reset(token)
+
+
+def spoken() -> Language:
+    return _SPOKEN.get()
 
 
 def tr(english: str, /, **values: object) -> str:

@@ -25,6 +25,7 @@ from hilcell.journal.journal import StorageError
 from hilcell.journal.log import RunJournal
 from hilcell.journal.runs import CALIBRATION, JOURNAL, live_engine, read_log, read_records
 from hilcell.journal.runs_folder import command_on
+from hilcell.language import of_environment
 from hilcell.model.events import CalibrationRevoked
 from hilcell.ports import HilcellError
 from hilcell.present.renderers import width_of
@@ -291,9 +292,10 @@ def report(args: Report) -> int:
     check_output(place, (".html", ".htm", ".pdf"), "a report", inputs=_files(folder))
     browser = find_browser() if place.suffix.lower() == ".pdf" else ""
     facts = read_facts(folder)
-    html = report_html(facts)
+    language = of_environment(os.environ)
+    html = report_html(facts, language=language)
     if browser:  # printed twice: first to read the page numbers
-        html = report_html(facts, pages_of(pdf_of(html, browser), PARTS))
+        html = report_html(facts, pages_of(pdf_of(html, browser), PARTS), language)
     content = pdf_of(html, browser) if browser else html.encode()
     write_whole(place, content, inputs=_files(folder))
     _print_written("report", facts, folder, args.output)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -32,6 +33,7 @@ from hilcell.fit.robot_file import Robot
 from hilcell.fit.urdf_file import URDF, read_robot
 from hilcell.geometry.statistics import LEAST_BOUNDED
 from hilcell.identification.measured_poses import turn_middles
+from hilcell.language import of_environment
 from hilcell.present.table import Table, listed
 from hilcell.programs.corrected import UsableCalibration
 from hilcell.programs.holes import read_holes
@@ -54,7 +56,7 @@ def prepare(args: Prepare) -> int:
         standoff_mm=args.standoff,
         say=print_message,
     )
-    messages = jobs.write(Path(args.output), inputs=[Path(args.cell)])
+    messages = jobs.write(Path(args.output), [Path(args.cell)], of_environment(os.environ))
     if args.json:
         print_json(jobs.summary)
     else:

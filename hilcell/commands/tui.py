@@ -42,7 +42,8 @@ def tui(args: Tui) -> int:
         slow=args.slow,
     )
     sys.setswitchinterval(0.0005)  # longest wait of the thread that reads Esc for one that draws
-    with speaking(of_environment(os.environ)):
+    language = of_environment(os.environ)
+    with speaking(language if unicode else language.in_ascii()):
         app = HilcellApp(options)
         if app.console.color_system == "standard":
             app.theme = SIXTEEN

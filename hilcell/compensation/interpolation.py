@@ -19,6 +19,7 @@ from hilcell.compensation.grid import Grid, GridError, MeasuredGrid
 from hilcell.compensation.model import LearntModel, Measured, ModelError, Prediction
 from hilcell.decoding import Json, typed
 from hilcell.geometry.kinematics import Array, Ints
+from hilcell.language import marked
 
 # (8, 3) steps from a cell's lowest vertex
 CORNERS: Ints = np.array([*product((0, 1), repeat=3)])
@@ -125,7 +126,7 @@ class Idw(Interpolation):
     """Inverse distances, eqs 9-10; over `NearestPoses` where no lattice was measured."""
 
     name = "idw"
-    text = (
+    text = marked(
         "corrected by inverse-distance interpolation of the grid's errors "
         "(Tian et al., Chinese Journal of Aeronautics, 2014)"
     )
@@ -147,7 +148,7 @@ class Trilinear(Interpolation):
     """Linear along each axis."""
 
     name = "trilinear"
-    text = "corrected by trilinear interpolation of the grid's errors"
+    text = marked("corrected by trilinear interpolation of the grid's errors")
     scattered = False
 
     @classmethod

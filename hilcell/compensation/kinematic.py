@@ -39,6 +39,7 @@ from hilcell.identification.kinematics import Kinematics, Placed, State, Transmi
 from hilcell.identification.measured_poses import IdentificationError, Noise
 from hilcell.identification.static_curves import static_curves
 from hilcell.identification.weight import flange_levers_mm
+from hilcell.language import marked
 from hilcell.model.verdicts import CurvesUsed
 
 MOST_MM, MOST_RAD = 1e5, 1e3  # beyond is no robot's length or angle
@@ -148,7 +149,7 @@ class Kinematic(LearntModel):
     """
 
     name = "kinematic"
-    text = "corrected by the robot's kinematics, identified from these errors"
+    text = marked("corrected by the robot's kinematics, identified from these errors")
     any_orientation = True
     scattered = False
 

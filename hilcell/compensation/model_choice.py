@@ -20,6 +20,7 @@ from hilcell.decoding import Json
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import Figures, figures_of, lengths_mm
 from hilcell.identification.measured_poses import IdentificationError
+from hilcell.language import marked
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +28,7 @@ class Nominal(LearntModel):
     """Predicts no error; the covariance (3, 3) is the mean square of those measured."""
 
     name = "nominal"
-    text = "not corrected: no model did better than nominal positions"
+    text = marked("not corrected: no model did better than nominal positions")
     any_orientation = True
 
     covariance_mm2: Array

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from hilcell.decoding import Json
 from hilcell.journal.log import Log
-from hilcell.language import tr
+from hilcell.language import date_text, tr
 from hilcell.model.events import Event, OtherEvent, StepBegun
 from hilcell.model.point import CHECKS, HOLDS, KINDS, SEAT, SIDES, PointId
 from hilcell.model.verdicts import OTHERS, VALIDATION, verdict_title
@@ -147,6 +147,11 @@ def period_text(first: str, last: str, zone: tzinfo | None = None) -> str:
     """Return begin and end to the second with the zone, and in UTC if different."""
     begin, end = in_zone(first, zone), in_zone(last, zone)
     same_day = begin.date() == end.date()
-    words = f"{begin:%Y-%m-%d %H:%M:%S} to {end:{'%H:%M:%S' if same_day else '%Y-%m-%d %H:%M:%S'}}"
+    last_day = "" if same_day else f"{date_text(end)} "
+    words = tr(
+        "{begin} to {end}",
+        begin=f"{date_text(begin)} {begin:%H:%M:%S}",
+        end=f"{last_day}{end:%H:%M:%S}",
+    )
     utc = f" ({first[11:19]} to {last[11:19]} UTC)" if begin.utcoffset() else ""
     return f"{words} {begin:%Z}{utc}"

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import NamedTuple, get_args
 
 from babel.messages.pofile import normalize, read_po
+from jinja2 import Environment, nodes
 
 from hilcell.alarms.catalogue import entries_of
 from hilcell.alarms.catalogue import packages as packages_of_alarms
@@ -36,6 +37,7 @@ def keys_of(package: str) -> list[str]:
     root = package.partition(".")[0]
     folder = Path(str(import_module(root).__file__)).parent
     found = [key for file in sorted(folder.rglob("*.py")) for key in _texts_in(file)]
+    found += [key for file in sorted(folder.rglob("*.j2")) for key in _texts_of_page(file)]
     for each in packages_of_alarms():
         if each.partition(".")[0] == root:
             for entry in sorted(entries_of(each), key=lambda entry: entry.code):
@@ -64,6 +66,13 @@ def _texts_in(file: Path) -> Iterator[str]:
         if isinstance(name, ast.Name):
             for n in arguments.get(name.id, ()):
                 yield from _constants(call.args[n])
+
+
+def _texts_of_page(file: Path) -> Iterator[str]:
+    """Yield the keys of a template."""
+    for call in Environment(autoescape=True).parse(file.read_text("utf-8")).find_all(nodes.Call):
+        if isinstance(call.node, nodes.Name) and call.node.name == "tr":
+            yield from (each.value for each in call.args if isinstance(each, nodes.Const))
 
 
 def _constants(node: ast.AST) -> Iterator[str]:

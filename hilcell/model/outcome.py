@@ -14,7 +14,7 @@ from typing import NamedTuple, Self
 
 from hilcell.language import marked
 
-RULE = (
+RULE = marked(
     "guard band: accepted where the figure plus its expanded uncertainty U (k = 2) keeps the limit "
     "(ISO 14253-1; JCGM 106, 8.3.2)"
 )

@@ -8,8 +8,9 @@ import re
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
+from hilcell.language import tr
 from hilcell.present.table import Named, Table, Value
 from hilcell.sanitize import harmless, harmless_lines
 
@@ -93,6 +94,7 @@ def environment(*packages: str) -> Environment:
         lstrip_blocks=True,
     )
     made.filters["trusted"] = Markup  # for hilcell's own SVG only
+    cast("dict[str, object]", made.globals)["tr"] = tr
     return made
 
 

@@ -13,6 +13,8 @@ from itertools import takewhile
 from operator import attrgetter, itemgetter
 from typing import ClassVar, Generic, NamedTuple, Never, TypeVar
 
+from hilcell.language import decimal
+
 T = TypeVar("T")
 T_contra = TypeVar("T_contra", contravariant=True)
 
@@ -69,8 +71,8 @@ class Column(Generic[T_contra]):
             return value or ""
         text = format(value, self.form)
         if not text.strip("-0."):  # no zero has a sign
-            return text.lstrip("-")
-        return text.replace("-", minus)
+            return decimal(text.lstrip("-"))
+        return decimal(text.replace("-", minus))
 
 
 def vector(

@@ -34,6 +34,7 @@ from hilcell.compensation.targets import HEADER, as_listed, target_rows
 from hilcell.errors import bounded
 from hilcell.geometry.frames import poses_from_zyx, zyx_from_pose
 from hilcell.geometry.statistics import lengths_mm
+from hilcell.language import ENGLISH, Language, date_text, decimal, marked, speaking, spoken, tr
 from hilcell.ports import Array
 from hilcell.present.renderers import environment
 from hilcell.present.table import Column, Table
@@ -47,14 +48,16 @@ from hilcell.run.order import Release
 from hilcell.sanitize import counted, harmless
 
 SUMMARY, SHEET = "summary.json", "sheet.html"
-TRUE_ANGLE = "of the true angle; a measured angle also contains reading noise"
-INVALID = (
-    "a collision, a new mastering, an exchanged motor, gear, drill spindle or reflector mount",
-    "the rail, the strip or its head was moved, or the slide does not come to its strip reading",
-    "the part or the floor was moved: {W} is no longer where it was",
-    "the calibration was revoked or superseded since: `hilcell runs` says so",
-    "a re-check (`hilcell run recheck`) that does not say valid",
-    "tool, base, approach or points of a program were changed by hand",
+TRUE_ANGLE = marked("of the true angle; a measured angle also contains reading noise")
+INVALID = marked(
+    (
+        "a collision, a new mastering, an exchanged motor, gear, drill spindle or reflector mount",
+        "the rail, the strip or its head was moved, or the slide misses its strip reading",
+        "the part or the floor was moved: {W} is no longer where it was",
+        "the calibration was revoked or superseded since: `hilcell runs` says so",
+        "a re-check (`hilcell run recheck`) that does not say valid",
+        "tool, base, approach or points of a program were changed by hand",
+    )
 )
 # Of each station: name, rail (mm), holes, the largest bound (mm), the list, the program's files.
 STATIONS: tuple[Column[tuple[str, float, int, float | None, str, str]], ...] = (
@@ -114,14 +117,14 @@ class StationJob:
         nominal_mm, targets = self.plan.poses[:, :3], self.targets
         moved_mm = lengths_mm(targets.command[:, :3] - nominal_mm)
         columns: list[Column[int]] = [
-            Column("hole", self.plan.holes.__getitem__),
+            Column(tr("hole"), self.plan.holes.__getitem__),
             *(Column(axis, nominal_mm[:, n].item, "mm", ".2f") for n, axis in enumerate("xyz")),
-            Column("corrected by", moved_mm.item, "mm", ".3f"),
+            Column(tr("corrected by"), moved_mm.item, "mm", ".3f"),
         ]
         if bounds and targets.bounds95_mm is not None:
-            columns.append(Column("95 % bound", targets.bounds95_mm.__getitem__, "mm", ".3f"))
+            columns.append(Column(tr("95 % bound"), targets.bounds95_mm.__getitem__, "mm", ".3f"))
         if turns and targets.bounds_deg is not None:
-            columns.append(Column("95 % bound", targets.bounds_deg.item, "°", ".4f"))
+            columns.append(Column(tr("95 % bound"), targets.bounds_deg.item, "°", ".4f"))
         return Table(columns, range(len(nominal_mm)))
 
     @property
@@ -256,21 +259,23 @@ class StationJobs:
 
     @property
     def standoff_remarks(self) -> list[str]:
-        off = f"stand-off {self.standoff_mm:g} mm along the outward normal"
-        side = "assumed side: the part lies behind each hole, where z of the tool points"
         return [
-            f"{off}, before and after each hole",
-            f"{side}, within {REACH_MM:g} mm of a hole; state a larger part as keep_out",
-            "depth 0: points are on the part's surface; the drill's feed is the spindle's own",
-        ]
+            tr("stand-off {standoff_mm:g} mm along the outward normal, before and after each hole",
+               standoff_mm=self.standoff_mm),
+            tr("assumed side: the part lies behind each hole, where z of the tool points, within "
+               "{reach_mm:g} mm of a hole; state a larger part as keep_out", reach_mm=REACH_MM),
+            tr("depth 0: points are on the part's surface; the drill's feed is the spindle's own"),
+        ]  # fmt: skip
 
     @property
     def unknown_drill(self) -> list[str]:
         """Warning where holes are given for the reflector, so that no drill is known."""
         if self.tip.table is not None:
             return []
-        beyond = f"{NEAR_SHARE * self.standoff_mm:g} mm beyond the reflector"
-        return [f"no [[tool]], so no drill is known: between holes nothing may reach {beyond}"]
+        return [
+            tr("no [[tool]], so no drill is known: between holes nothing may reach {beyond_mm:g} "
+               "mm beyond the reflector", beyond_mm=NEAR_SHARE * self.standoff_mm)
+        ]  # fmt: skip
 
     @property
     def table(self) -> Table:
@@ -306,8 +311,13 @@ class StationJobs:
             "bound_mm": self.whole.travel_bound_mm,
         }
 
-    def write(self, folder: Path, inputs: Iterable[Path]) -> list[str]:
-        """Write all into an empty folder; return messages; raises `NotWritten`."""
+    def write(
+        self, folder: Path, inputs: Iterable[Path], language: Language = ENGLISH
+    ) -> list[str]:
+        """Write all into an empty folder, the sheet in a language; return messages.
+
+        Raises `NotWritten`.
+        """
         jobs, released = self.stations, self.released
         files = [each for job in jobs for each in job.files.items()]
         counts = Counter(name.lower() for name, _ in files)  # controllers and PCs may ignore case
@@ -317,7 +327,9 @@ class StationJobs:
                 "digits and underscores in the first 24 characters"
             )
         summary = msgspec.json.format(msgspec.json.encode(self.summary), indent=1) + b"\n"
-        files += [(SUMMARY, summary), (SHEET, self.sheet().encode())]
+        with speaking(language):
+            sheet = self.sheet()
+        files += [(SUMMARY, summary), (SHEET, sheet.encode())]
         self._make(folder)
         write_together(
             {folder / name: content for name, content in files},
@@ -353,7 +365,12 @@ class StationJobs:
         page = environment("hilcell.programs").get_template("sheet.html.j2")
         return page.render(
             version=__version__,
-            title=f"Drilling sheet: {counted(count, 'hole')} at {counted(places, 'station')}",
+            language=spoken().code,
+            title=tr(
+                "Drilling sheet: {holes} at {stations}",
+                holes=_holes(count),
+                stations=tr("1 station") if places == 1 else tr("{n} stations", n=places),
+            ),
             simulated=made.simulated,
             has_rail=self.cell.has_rail,
             facts=self._facts(),
@@ -362,7 +379,7 @@ class StationJobs:
                 (
                     each,
                     each.holes(bounds=not no_bounds, turns=turns),
-                    f"{each.plan.station.strip_mm:.2f} ± {within_mm:.2f}",
+                    decimal(f"{each.plan.station.strip_mm:.2f} ± {within_mm:.2f}"),
                 )
                 for each in self.stations
             ],
@@ -373,61 +390,112 @@ class StationJobs:
                 *self.unknown_drill,
                 *bounded(self.twins),
             ],
-            invalid=[f"air outside of {self._air}", f"the time after {self._until}", *INVALID],
-            footer=css_text(f"calibration {made.latest}, holes {self.source.name}"),
+            invalid=[
+                tr("air outside of {range}", range=self._air),
+                tr("the time after {day}", day=self._until),
+                *map(tr, INVALID),
+            ],
+            footer=css_text(
+                tr(
+                    "calibration {calibration}, holes {file}",
+                    calibration=made.latest,
+                    file=self.source.name,
+                )
+            ),
         )
 
     def _facts(self) -> list[tuple[str, str]]:
         cell, tip, released, release = self.cell, self.tip, self.released, self.released.release
         made, validity = released.calibration.provenance, released.calibration.validity
-        status = "not known to be current"
+        status = tr("not known to be current")
         if released.status is not None:
             status = released.status.text
         if released.accepted:
-            status = f"{released.status_text}; OUT OF TOLERANCE, accepted"
+            status = tr("{status}; OUT OF TOLERANCE, accepted", status=released.status_text)
         held_at = tip.scope.removeprefix("they hold at ")
         if tip.table is None and (drill_mm := drill_mm_of(cell)) is not None:
             at_mm = " ".join(f"{each:g}" for each in drill_mm)
-            held_at = f"the drill, ({at_mm}) mm from the reflector"
-        number = "" if tip.number is None else f", number {tip.number}"
+            held_at = tr("the drill, ({at}) mm from the reflector", at=at_mm)
+        number = "" if tip.number is None else tr(", number {number}", number=tip.number)
         values = zyx_from_pose(tip.T_F_D[None])[0] + 0.0
-        frame = " ".join(f"{axis} {each:.3f}" for axis, each in zip("XYZABC", values, strict=True))
-        frame += " (mm, deg)"
+        written = self._written
+        frame = decimal(
+            " ".join(f"{axis} {each:.3f}" for axis, each in zip("XYZABC", values, strict=True))
+        )
         standoff, side, depth = self.standoff_remarks
+        now = datetime.now().astimezone()
         facts = [
-            ("Holes", self.source.name),
-            ("Cell", f"{cell.name}, serial {cell.serial}, robot {cell.robot.name}"),
-            ("Calibration", f"{made.named}, written {self._written:%Y-%m-%d %H:%M %Z}"),
-            ("Status", status),
-            ("Use until", f"{self._until}, {release.max_age:g} days after it was written"),
-            ("Air", self._air),
-            ("Orientation", f"as calibrated, within {validity.orientation_tolerance_deg:g}°"),
+            (tr("Holes"), self.source.name),
             (
-                "Tool",
-                f"{tip.name}{number}; in the flange: {frame}; the controller's must be the same",
+                tr("Cell"),
+                tr(
+                    "{cell}, serial {serial}, robot {robot}",
+                    cell=cell.name,
+                    serial=cell.serial,
+                    robot=cell.robot.name,
+                ),
             ),
-            ("Bounds hold at", held_at),
-            ("Stand-off", standoff),
-            ("Side and depth", f"{side}; {depth}"),
-            ("Prepared", f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"),
+            (
+                tr("Calibration"),
+                tr(
+                    "{run}, written {day} {time:%H:%M %Z}",
+                    run=made.named,
+                    day=date_text(written),
+                    time=written,
+                ),
+            ),
+            (tr("Status"), status),
+            (
+                tr("Use until"),
+                tr(
+                    "{day}, {days:g} days after it was written",
+                    day=self._until,
+                    days=release.max_age,
+                ),
+            ),
+            (tr("Air"), self._air),
+            (
+                tr("Orientation"),
+                tr("as calibrated, within {within:g}°", within=validity.orientation_tolerance_deg),
+            ),
+            (
+                tr("Tool"),
+                tr(
+                    "{tool}{number}; in the flange: {frame} (mm, deg); the controller's must be "
+                    "the same",
+                    tool=tip.name,
+                    number=number,
+                    frame=frame,
+                ),
+            ),
+            (tr("Bounds hold at"), held_at),
+            (tr("Stand-off"), standoff),
+            (tr("Side and depth"), f"{side}; {depth}"),
+            (tr("Prepared"), f"{date_text(now)} {now:%H:%M %Z}"),
         ]
         if any(each.targets.bounds_deg is not None for each in self.stations):
-            facts.append(("Bounds in degrees", TRUE_ANGLE))
+            facts.append((tr("Bounds in degrees"), tr(TRUE_ANGLE)))
         return facts
 
     def _checks(self) -> list[str]:
         checks = [
-            "The right cell, robot and part; the part clamped, its place in {W} as it was planned",
-            "Tool and drill as in the cell file; the drill is drawn back while the robot moves",
-            f"Air at the cell {self._air}",
-            "Programs copied to the controller as they are, all files of a station together",
-            "First hole of each station at reduced speed, a hand at the emergency stop",
+            tr(
+                "The right cell, robot and part; the part clamped, its place in {W} as it was "
+                "planned"
+            ),
+            tr("Tool and drill as in the cell file; the drill is drawn back while the robot moves"),
+            tr("Air at the cell {range}", range=self._air),
+            tr("Programs copied to the controller as they are, all files of a station together"),
+            tr("First hole of each station at reduced speed, a hand at the emergency stop"),
         ]
         if self.cell.has_rail:
             checks.insert(
                 3,
-                "At each station: robot at its safe pose, slide moved, held, strip within "
-                f"{self.cell.rail.strip_tolerance_mm:g} mm, then the station's own program",
+                tr(
+                    "At each station: robot at its safe pose, slide moved, held, strip within "
+                    "{within_mm:g} mm, then the station's own program",
+                    within_mm=self.cell.rail.strip_tolerance_mm,
+                ),
             )
         return checks
 
@@ -435,10 +503,12 @@ class StationJobs:
     def _air(self) -> str:
         validity, now_c = self.released.calibration.validity, self.released.release.temperature
         if validity.temperature_c is None:
-            return "not measured by the calibration"
+            return tr("not measured by the calibration")
         low_c, high_c = validity.temperature_c
-        allowed = f"{low_c - TEMPERATURE_MARGIN_K:.1f} to {high_c + TEMPERATURE_MARGIN_K:.1f} °C"
-        return allowed if now_c is None else f"{allowed}, bounds for {now_c:.1f} °C"
+        allowed = tr("{low:.1f} to {high:.1f} °C", low=low_c - TEMPERATURE_MARGIN_K,
+                     high=high_c + TEMPERATURE_MARGIN_K)  # fmt: skip
+        return allowed if now_c is None else tr("{range}, bounds for {now:.1f} °C", range=allowed,
+                                                now=now_c)  # fmt: skip
 
     @property
     def _written(self) -> datetime:
@@ -450,9 +520,9 @@ class StationJobs:
         """The last day of use; days beyond any calendar are no limit."""
         try:
             last = self._written + timedelta(days=self.released.release.max_age)
-            return f"{last.astimezone():%Y-%m-%d}"
+            return date_text(last.astimezone())
         except OverflowError:
-            return "any day"
+            return tr("any day")
 
     @staticmethod
     def _make(folder: Path) -> None:
@@ -467,6 +537,10 @@ class StationJobs:
                 raise NotWritten(f"{folder} is not empty; name a new folder")
         except OSError as error:
             raise NotWritten(f"{folder}: cannot be used: {error.strerror or error}") from error
+
+
+def _holes(count: int) -> str:
+    return tr("1 hole") if count == 1 else tr("{n} holes", n=count)
 
 
 def css_text(text: str) -> str:

@@ -26,6 +26,7 @@ from hilcell.journal.journal import Record, chain
 from hilcell.journal.labels import in_zone, zone_of
 from hilcell.journal.log import Log
 from hilcell.journal.runs import CALIBRATION, read_records
+from hilcell.language import tr
 from hilcell.model.events import CalibrationRevoked
 from hilcell.model.outcome import Outcome
 from hilcell.model.plan import PlanRecord
@@ -142,7 +143,7 @@ class Facts:
         """
         if outcome is None:
             return none
-        return f"({outcome.short})" if self.inputs.simulated else outcome.short
+        return f"({tr(outcome.short)})" if self.inputs.simulated else tr(outcome.short)
 
 
 def read_facts(folder: Path) -> Facts:

@@ -27,6 +27,7 @@ from hilcell.geometry.frames import matrix, zyx_from_pose
 from hilcell.identification.known_arm import in_words
 from hilcell.journal.calibration_facts import SUSPECTED
 from hilcell.journal.labels import in_zone, period_text
+from hilcell.language import date_text, tr
 from hilcell.model.calibration import MAX_AGE_DAYS
 from hilcell.model.outcome import RULE, Outcome, gravest, outcome_of
 from hilcell.model.point import BOTH, Sent
@@ -84,11 +85,17 @@ class FirstPage:
         if is_pose_test(self.facts):
             return PoseReport(self.facts).results_table()
         left = len(self.station_verdicts()) - len(self._shown())
-        note = f"{left} stations further from their limits: see Verdicts." if left else ""
+        note = (
+            tr("{left} stations further from their limits: see Verdicts.", left=left)
+            if left
+            else ""
+        )
         results = [result for name in self._shown() for result in self.results_at(name)]
         if results and (bound := self.bound_result(targets)) is not None:
             results.append(bound)
-        return Table(self._columns("3-D position error", "mm", ".3f"), results, "Results", note)
+        return Table(
+            self._columns(tr("3-D position error"), "mm", ".3f"), results, tr("Results"), note
+        )
 
     def orientation_results(self) -> Table:
         """Return the orientation nearest to its limit, or a pose test's; nothing without limits."""
@@ -101,20 +108,22 @@ class FirstPage:
             place = max(known, key=lambda name: np.nan_to_num(known[name].max_deg, nan=np.inf))
             before = validated_orientation_errors(self.facts.log, [place]).get(Sent.BEFORE)
             before_deg = None if before is None else before.figures.max_deg
-            results = [Result(f"Largest at {place}", limit_deg, before_deg, *known[place])]
-        columns = self._columns("orientation of the tool", "°", ".4f")
-        return Table(columns, results, "Results, orientation at the worst station")
+            results = [
+                Result(tr("Largest at {place}", place=place), limit_deg, before_deg, *known[place])
+            ]
+        columns = self._columns(tr("orientation of the tool"), "°", ".4f")
+        return Table(columns, results, tr("Results, orientation at the worst station"))
 
     def _columns(self, what: str, unit: str, form: str) -> tuple[Column[Result], ...]:
         return (
             Column(what, attrgetter("name")),
-            Column("limit", attrgetter("limit"), unit, ".3f"),
-            Column("before", lambda row: NOT_APPLICABLE if row.U is None else row.before,
+            Column(tr("limit"), attrgetter("limit"), unit, ".3f"),
+            Column(tr("before"), lambda row: NOT_APPLICABLE if row.U is None else row.before,
                    unit, form),
-            Column("after", attrgetter("after"), unit, form),
-            Column("U", lambda row: "included" if row.U is None else row.U, unit, form),
-            Column("after may be at most", attrgetter("most"), unit, form),
-            Column("verdict", lambda row: self.facts.outcome_text(row.outcome, NOT_APPLICABLE),
+            Column(tr("after"), attrgetter("after"), unit, form),
+            Column("U", lambda row: tr("included") if row.U is None else row.U, unit, form),
+            Column(tr("after may be at most"), attrgetter("most"), unit, form),
+            Column(tr("verdict"), lambda row: self.facts.outcome_text(row.outcome, NOT_APPLICABLE),
                    form="s"),
         )  # fmt: skip
 
@@ -141,12 +150,12 @@ class FirstPage:
         if not pairs:
             return []
         results = []
-        for n, word in enumerate(("Mean", "Largest")):
+        for n, word in enumerate((tr("Mean"), tr("Largest"))):
             shares = {name: pair[n].after / pair[n].limit for name, pair in pairs.items()}
             name = max(shares, key=shares.__getitem__)
             results.append((f"{word}, {name}", pairs[name][n]))
         if (bound := self.bound_result(targets)) is not None:
-            results.append(("95 % bound", bound))
+            results.append((tr("95 % bound"), bound))
         return results
 
     def bound_result(self, targets: TargetBudget) -> Result | None:
@@ -154,7 +163,7 @@ class FirstPage:
             return None
         bound_mm = max(float(each.radii_mm.max()) for each in targets.in_use.values())
         limit_mm = self.facts.cell.validation.max_tolerance_mm
-        return Result("Largest 95 % bound of a target", limit_mm, None, bound_mm, None)
+        return Result(tr("Largest 95 % bound of a target"), limit_mm, None, bound_mm, None)
 
     def results_at(self, name: str) -> tuple[Result, Result]:
         each, series = self.station_verdicts()[name], validation(self.facts.log, [name])
@@ -162,13 +171,15 @@ class FirstPage:
         sent, count = (0 if errors is None else len(errors) for errors in (before, after))
         explained = each.holds or each.why != each.decision
         also = Outcome.ACCEPTED if explained else each.outcome
-        targets = f"{count} targets at {name}"
-        targets += f" (before: {sent})" if sent not in (0, count) else ""
+        targets = tr("{count} targets at {name}", count=count, name=name)
+        targets += tr(" (before: {sent})", sent=sent) if sent not in (0, count) else ""
         mean_mm, max_mm = (before.figures.mean, before.figures.max) if before else (None, None)
         return (
-            Result(f"Mean of {targets}", each.mean_tolerance_mm, mean_mm, each.mean_mm,
+            Result(tr("Mean of {targets}", targets=targets), each.mean_tolerance_mm, mean_mm,
+                   each.mean_mm,
                    each.mean_U_mm, also),
-            Result(f"Largest of {targets}", each.max_tolerance_mm, max_mm, each.max_mm,
+            Result(tr("Largest of {targets}", targets=targets), each.max_tolerance_mm, max_mm,
+                   each.max_mm,
                    each.max_U_mm),
         )  # fmt: skip
 
@@ -197,55 +208,67 @@ class FirstPage:
         """
         match judged := self.judgement():
             case "revoked":
-                return "REVOKED"
+                return tr("REVOKED")
             case "unfinished":
-                return "NO VERDICT"
+                return tr("NO VERDICT")
             case "suspected" | "failed check" | "not judged":
-                return self.facts.log.outcome_text.partition(";")[0].upper()
-        word = judged.short.upper()
+                return tr(self.facts.log.outcome_text.partition(";")[0]).upper()
+        word = tr(judged.short).upper()
         if not self.facts.inputs.simulated:
             return word
-        return f"WOULD BE {word}" if judged is Outcome.UNDECIDED else f"WOULD {word}"
+        return (
+            tr("WOULD BE {word}", word=word)
+            if judged is Outcome.UNDECIDED
+            else tr("WOULD {word}", word=word)
+        )
 
     def status(self) -> tuple[str, str]:
         """Return the status of the run: a kind for the style sheet, and a text."""
         facts = self.facts
         end, state = facts.log.end, facts.log.state
         if facts.revoked:
-            return "bad", f"its calibration is revoked: {facts.revoked}"
+            return "bad", tr("its calibration is revoked: {revoked}", revoked=facts.revoked)
         if facts.finished and end is not None:
-            later = f"; its calibration is superseded by {facts.superseded}" * bool(
-                facts.superseded
-            )
-            return "bad" if end.exit else "good", facts.log.outcome_text + later
+            later = tr(
+                "; its calibration is superseded by {superseded}", superseded=facts.superseded
+            ) * bool(facts.superseded)
+            return "bad" if end.exit else "good", _outcome(facts) + later
         if end is None and state not in ("aborted", "faulted"):
-            return "open", "not begun" if state == "idle" else f"not finished: {state}, engine gone"
-        return "open", f"not finished: {facts.log.outcome_text}"
+            return "open", tr("not begun") if state == "idle" else tr(
+                "not finished: {state}, engine gone", state=tr(state)
+            )
+        return "open", tr("not finished: {outcome}", outcome=_outcome(facts))
 
     def sentence(self) -> str:
         facts = self.facts
         if facts.revoked:
-            return "The calibration of this run was revoked: do not use it for correction."
+            return tr("The calibration of this run was revoked: do not use it for correction.")
         if is_pose_test(facts):
             return PoseReport(facts).sentence()
         for kind in ("recheck", "targets"):
             if kind in facts.result:
                 return str(facts.result[kind]["text"])
-        only = "In simulation only: " if facts.inputs.simulated else ""
+        only = tr("In simulation only: ") if facts.inputs.simulated else ""
         match self.judgement():
             case "failed check":
-                return "A check of this run is beyond its limit: see the verdicts."
+                return tr("A check of this run is beyond its limit: see the verdicts.")
             case "suspected":
-                return f"{facts.suspected}. Correct nothing by it until that is cleared."
+                return tr(
+                    "{suspected}. Correct nothing by it until that is cleared.",
+                    suspected=facts.suspected,
+                )
             case "accepted":
-                return f"{only}With its correction the robot keeps its limits, uncertainty added."
+                return tr(
+                    "{only}With its correction the robot keeps its limits, uncertainty added.",
+                    only=only,
+                )
             case "rejected":
-                shown = "The robot is not shown to keep its limits, with the uncertainty added"
+                shown = tr("The robot is not shown to keep its limits, with the uncertainty added")
                 return f"{only}{shown}{self.deciding()}."
             case "undecided":
-                shown = "Conformity is neither shown nor refuted"
+                shown = tr("Conformity is neither shown nor refuted")
                 return f"{only}{shown}{self.deciding()}."
-        return "No correction was judged against limits in this run."
+        return tr("No correction was judged against limits in this run.")
 
     def deciding(self) -> str:
         """The stations and figures by which the run does not pass, after a colon."""
@@ -258,8 +281,8 @@ class FirstPage:
             for place, each in failed.items() if each.outcome == gravest(outcomes)
         ]  # fmt: skip
         most = 2  # stations that the verdict's sentence names
-        more = f"; and at {len(reasons) - most} more stations" if reasons[most:] else ""
-        return f": at {'; at '.join(reasons[:most])}{more}"
+        more = tr("; and at {n} more stations", n=len(reasons) - most) if reasons[most:] else ""
+        return tr(": at {reasons}{more}", reasons=tr("; at ").join(reasons[:most]), more=more)
 
     def uncertainty_text(self, budget: Budget | None) -> str:
         """Return U with its coverage factors, of one coordinate and of a 3-D position."""
@@ -267,11 +290,13 @@ class FirstPage:
             return PoseReport.UNCERTAINTY
         if budget is None:
             return ""
-        return (
-            "U: expanded, k = 2 (about 95 %); of the largest along the error, u = "
-            f"{budget.u_mm:.4f} mm of one coordinate; of a mean by its own table. A measured 3-D "
-            f"position lies within {K_3D:.2f} u = "
-            f"{K_3D * budget.u_mm:.3f} mm with 95 % (k = {K_3D:.2f}, three coordinates; GUM)."
+        return tr(
+            "U: expanded, k = 2 (about 95 %); of the largest along the error, u = {u_mm:.4f} mm of "
+            "one coordinate; of a mean by its own table. A measured 3-D position lies within "
+            "{k:.2f} u = {U_mm:.3f} mm with 95 % (k = {k:.2f}, three coordinates; GUM).",
+            u_mm=budget.u_mm,
+            k=K_3D,
+            U_mm=K_3D * budget.u_mm,
         )
 
     def time_span(self) -> str:
@@ -281,20 +306,25 @@ class FirstPage:
     def lead(self) -> str:
         facts = self.facts
         if facts.log.calibration != "validated" or facts.is_paper:
-            return facts.procedure.summary[:1].upper() + facts.procedure.summary[1:]
-        robot = "Robot on a rail" if facts.cell.has_rail else "Robot"
+            summary = tr(facts.procedure.summary)
+            return summary[:1].upper() + summary[1:]
+        robot = tr("Robot on a rail") if facts.cell.has_rail else tr("Robot")
         turned = bool(facts.cell.robot.more_smr_mm)
-        errors = "position and orientation errors of the tool" if turned else (
-            "position errors of the tool point"
+        errors = tr("position and orientation errors of the tool") if turned else (
+            tr("position errors of the tool point")
         )  # fmt: skip
-        return f"{robot}: {errors} and their correction"
+        return tr("{robot}: {errors} and their correction", robot=robot, errors=errors)
 
     def item_facts(self) -> list[Fact]:
         cell = self.facts.cell
         robot = self.facts.asset("robot")
-        serial = "" if robot is None else f", serial {robot.serial}"
+        serial = "" if robot is None else tr(", serial {serial}", serial=robot.serial)
         travel_m = (cell.rail.travel_max_mm - cell.rail.travel_min_mm) / 1000
-        on = f"on a rail of {travel_m:g} m" if cell.has_rail else "on the floor, without a rail"
+        on = (
+            tr("on a rail of {m:g} m", m=travel_m)
+            if cell.has_rail
+            else tr("on the floor, without a rail")
+        )
         stations = (
             [cell.grid.station]
             if is_pose_test(self.facts)
@@ -302,23 +332,27 @@ class FirstPage:
         )
         most = max_stations(cell)
         names = ", ".join(stations[:most])
-        more = f" and {len(stations) - most} more" if len(stations) > most else ""
+        more = tr(" and {n} more", n=len(stations) - most) if len(stations) > most else ""
         carried = carried_calibration(self.facts.log)
-        of = "" if carried is None else f", re-calibrated from {carried.provenance.latest}"
+        of = (
+            ""
+            if carried is None
+            else tr(", re-calibrated from {latest}", latest=carried.provenance.latest)
+        )
         parties = cell.certificate
         laboratory = parties.laboratory, parties.laboratory_address
         customer = parties.customer, parties.customer_address
         return [
-            Fact("Laboratory", ", ".join(filter(None, laboratory))),
-            Fact("Customer", ", ".join(filter(None, customer))),
-            Fact("Run", f"{self.facts.run}{of}"),
-            Fact("Job", self.facts.inputs.job),
-            Fact("Cell", f"{cell.name}, serial {cell.serial}"),
-            Fact("Robot", f"{cell.robot.name}{serial}, {on}"),
-            Fact("Stations", names + more),
+            Fact(tr("Laboratory"), ", ".join(filter(None, laboratory))),
+            Fact(tr("Customer"), ", ".join(filter(None, customer))),
+            Fact(tr("Run"), f"{self.facts.run}{of}"),
+            Fact(tr("Job"), self.facts.inputs.job),
+            Fact(tr("Cell"), tr("{name}, serial {serial}", name=cell.name, serial=cell.serial)),
+            Fact(tr("Robot"), f"{cell.robot.name}{serial}, {on}"),
+            Fact(tr("Stations"), names + more),
             *(Fact(*each) for each in PoseReport(self.facts).stated_conditions()),
-            Fact("Measured", self.time_span()),
-            Fact("Operator", self.facts.inputs.operator),
+            Fact(tr("Measured"), self.time_span()),
+            Fact(tr("Operator"), self.facts.inputs.operator),
         ]
 
     def validity_facts(self) -> list[Fact]:
@@ -332,65 +366,88 @@ class FirstPage:
         validity = calibration.validity
         a, b, c = zyx_from_pose(matrix(np.array(validity.orientation), np.zeros(3)))[3:]
         more = len(validity.orientations)
-        also = f" (as from {more} more)" if more else ""
+        also = tr(" (as from {more} more)", more=more) if more else ""
         ranges = zip("xyz", validity.low_mm, validity.high_mm, strict=True)
-        cube = ", ".join(f"{axis} {low:.0f} to {high:.0f}" for axis, low, high in ranges)
+        cube = ", ".join(
+            tr("{axis} {low:.0f} to {high:.0f}", axis=axis, low=low, high=high)
+            for axis, low, high in ranges
+        )
         until = datetime.fromisoformat(self.facts.last.t) + timedelta(days=MAX_AGE_DAYS)
         return [
-            Fact("Volume", f"{cube} mm in the robot's base {{B}}, at each station"),
             Fact(
-                "Orientation",
-                f"A {a:.1f}°, B {b:.1f}°, C {c:.1f}° of the flange in {{B}}, turned by at most "
-                f"{validity.orientation_tolerance_deg:g}°{also}; every axis approached from below",
+                tr("Volume"), tr("{cube} mm in the robot's base {{B}}, at each station", cube=cube)
             ),
-            Fact("Temperature", self._temperature(validity.temperature_c)),
             Fact(
-                "Age",
-                f"until {until:%Y-%m-%d} ({MAX_AGE_DAYS:g} days), earlier after a collision, a new "
-                "mastering, a changed motor or tool, or a failed re-check",
+                tr("Orientation"),
+                tr(
+                    "A {a:.1f}°, B {b:.1f}°, C {c:.1f}° of the flange in {{B}}, turned by at most "
+                    "{within:g}°{also}; every axis approached from below",
+                    a=a,
+                    b=b,
+                    c=c,
+                    within=validity.orientation_tolerance_deg,
+                    also=also,
+                ),
+            ),
+            Fact(tr("Temperature"), self._temperature(validity.temperature_c)),
+            Fact(
+                tr("Age"),
+                tr(
+                    "until {day} ({days:g} days), earlier after a collision, a new mastering, a "
+                    "changed motor or tool, or a failed re-check",
+                    day=date_text(until),
+                    days=MAX_AGE_DAYS,
+                ),
             ),
         ]
 
     def instrument_rows(self) -> list[Instrument]:
         """Return what measured, with serial numbers and certificates; nothing without a tracker."""
         stated = self.facts.cell.uncertainty
-        none = "none, simulated" if self.facts.inputs.simulated else ""
+        none = tr("none, simulated") if self.facts.inputs.simulated else ""
         unknown = none and NOT_APPLICABLE
         instruments = [
-            Instrument("Laser tracker", each.model, each.serial, none or stated.tracker_certificate)
+            Instrument(
+                tr("Laser tracker"), each.model, each.serial, none or stated.tracker_certificate
+            )
             for each in self.facts.log.assets
             if each.kind == "tracker"
         ]
         if not instruments:
             return []
-        instruments.append(Instrument("Reflector", self.facts.cell.tracker.reflector, unknown,
+        instruments.append(Instrument(tr("Reflector"), self.facts.cell.tracker.reflector, unknown,
                                 none or stated.smr_certificate))  # fmt: skip
         if self.facts.log.temperatures_c():
-            instruments.append(Instrument("Weather station", "of the tracker", unknown,
+            instruments.append(Instrument(tr("Weather station"), tr("of the tracker"), unknown,
                                     none or stated.weather_certificate))  # fmt: skip
         for each in self.facts.cell.layout.length:
-            name = f"{' to '.join(each.nests)}, {each.length_mm:g} mm, u {each.u_mm:g} mm"
+            name = tr(
+                "{nests}, {length_mm:g} mm, u {u_mm:g} mm",
+                nests=" to ".join(each.nests),
+                length_mm=each.length_mm,
+                u_mm=each.u_mm,
+            )
             instruments.append(
-                Instrument("Known length", name, NOT_APPLICABLE, none or each.certificate)
+                Instrument(tr("Known length"), name, NOT_APPLICABLE, none or each.certificate)
             )
         return instruments
 
     def instruments(self) -> Table:
         columns: tuple[Column[Instrument], ...] = (
-            Column("instrument", attrgetter("instrument")),
-            Column("model", attrgetter("model")),
-            Column("serial", lambda row: row.serial or BLANK),
-            Column("certificate", lambda row: row.certificate or BLANK),
+            Column(tr("instrument"), attrgetter("instrument")),
+            Column(tr("model"), attrgetter("model")),
+            Column(tr("serial"), lambda row: row.serial or BLANK),
+            Column(tr("certificate"), lambda row: row.certificate or BLANK),
         )
-        title = "Instruments and traceability"
+        title = tr("Instruments and traceability")
         return Table(columns, self.instrument_rows(), title, self.traceability())
 
     def traceability(self) -> str:
         if self.facts.inputs.simulated:
-            return "Not traceable: no instrument measured anything."
+            return tr("Not traceable: no instrument measured anything.")
         if not self.certified():
-            return "Traceability is not shown: a certificate is missing."
-        return "Traceable to the SI through these certificates."
+            return tr("Traceability is not shown: a certificate is missing.")
+        return tr("Traceable to the SI through these certificates.")
 
     def certified(self) -> bool:
         """Whether real instruments measured, and the certificate of each is named."""
@@ -401,12 +458,19 @@ class FirstPage:
     @staticmethod
     def _temperature(range_c: tuple[float, float] | None) -> str:
         if range_c is None:
-            return "not measured"
+            return tr("not measured")
         low_c, high_c = (range_c[0] - TEMPERATURE_MARGIN_K, range_c[1] + TEMPERATURE_MARGIN_K)
-        return (
-            f"{low_c:.1f} to {high_c:.1f} °C at the tracker (calibrated {range_c[0]:.1f} to "
-            f"{range_c[1]:.1f} °C)"
+        return tr(
+            "{low:.1f} to {high:.1f} °C at the tracker (calibrated {least:.1f} to {most:.1f} °C)",
+            low=low_c,
+            high=high_c,
+            least=range_c[0],
+            most=range_c[1],
         )
+
+
+def _outcome(facts: Facts) -> str:
+    return "; ".join(map(tr, facts.log.outcome_text.split("; ")))
 
 
 def max_stations(cell: Cell) -> int:
@@ -520,14 +584,15 @@ class Certificate:
         """Return the kind of this report: without a validated correction nothing is calibrated."""
         facts = self.facts
         if is_pose_test(facts):
-            return "Pose test after ISO 9283"
+            return tr("Pose test after ISO 9283")
         if not self._calibrated():
-            return "Measurement report"
-        again = "re-calibration" if facts.cell.plan.recalibrates else "calibration"
+            return tr("Measurement report")
+        again = facts.cell.plan.recalibrates
         if facts.inputs.simulated:
-            return f"Simulated {again}"
-        certified = FirstPage(facts).certified()
-        return f"{again.capitalize()} {'certificate' if certified else 'report'}"
+            return tr("Simulated re-calibration") if again else tr("Simulated calibration")
+        if FirstPage(facts).certified():
+            return tr("Re-calibration certificate") if again else tr("Calibration certificate")
+        return tr("Re-calibration report") if again else tr("Calibration report")
 
     def _calibrated(self) -> bool:
         return self.facts.log.calibration == "validated"
@@ -538,51 +603,72 @@ class Certificate:
             return self._correction_method()
         if is_pose_test(facts):
             return PoseReport(facts).method_text()
-        return f"hilcell procedure {facts.inputs.procedure}: {facts.procedure.summary}"
+        return tr(
+            "hilcell procedure {procedure}: {summary}",
+            procedure=facts.inputs.procedure,
+            summary=tr(facts.procedure.summary),
+        )
 
     def _correction_method(self) -> str:
         facts = self.facts
         log, reflectors = facts.log, len(facts.cell.robot.seats_mm)
-        measured = "Position errors of the flange reflector"
+        measured = tr("Position errors of the flange reflector")
         if reflectors > 1:
-            measured = "Position and orientation errors of the tool, "
-            measured += f"by {reflectors} reflectors on the flange,"
+            measured = tr("Position and orientation errors of the tool, ")
+            measured += tr("by {reflectors} reflectors on the flange,", reflectors=reflectors)
         counts = {
-            "vertices of a grid": len(log.select("grid")),
-            "vertices in other orientations": len(log.select(ORIENTED)),
-            "poses chosen by what they determine": len(log.select("pose")),
+            tr("vertices of a grid"): len(log.select("grid")),
+            tr("vertices in other orientations"): len(log.select(ORIENTED)),
+            tr("poses chosen by what they determine"): len(log.select("pose")),
         }
-        places = " and ".join(f"{count} {places}" for places, count in counts.items() if count)
-        phrases = [f"{measured} measured by laser tracker at {places} at {facts.cell.grid.station}"]
+        places = tr(" and ").join(f"{count} {places}" for places, count in counts.items() if count)
+        phrases = [
+            tr(
+                "{measured} measured by laser tracker at {places} at {station}",
+                measured=measured,
+                places=places,
+                station=facts.cell.grid.station,
+            )
+        ]
         if (carried := carried_calibration(log)) is not None:
             run, found = carried.provenance.latest, facts.result.get("known_arm", {"changed": {}})
             since = in_words(found["changed"])
             phrases.append(
-                "the arm, its gears' errors and its repeatability known from the calibration of "
-                f"run {run}" + (f", changed since: {since}" if since else "")
+                tr(
+                    "the arm, its gears' errors and its repeatability known from the calibration "
+                    "of run {run}",
+                    run=run,
+                )
+                + (tr(", changed since: {since}", since=since) if since else "")
             )
         if log.curves:
-            fit, axes = log.verdict(Fitted), "axes" if len(log.curves) > 1 else "axis"
+            fit, axes = log.verdict(Fitted), tr("axes") if len(log.curves) > 1 else tr("axis")
             used = fit is not None and fit.curves.used and fit.method == Kinematic.name
-            swept = (
-                f"{axes} {', '.join(map(str, sorted(log.curves)))}{'' if used else ' (not used)'}"
-            )
-            phrases.append(f"each gear's error by slow sweeps of {swept}")
-        phrases.append(MODELS[log.method].text if log.method in MODELS else "corrected")
+            numbers = ", ".join(map(str, sorted(log.curves)))
+            swept = f"{axes} {numbers}" + ("" if used else tr(" (not used)"))
+            phrases.append(tr("each gear's error by slow sweeps of {swept}", swept=swept))
+        phrases.append(tr(MODELS[log.method].text if log.method in MODELS else "corrected"))
         if len(facts.cell.station) > 1:
-            phrases.append("transferred to the other stations by station frames")
+            phrases.append(tr("transferred to the other stations by station frames"))
         if touched := {point.station for point in log.select("touch")}:
             stations = ", ".join(sorted(touched))
-            phrases.append(f"the base measured by touch poses at each visit of {stations}")
-        return "; ".join([*phrases, "validated on targets sent and measured."])
+            phrases.append(
+                tr(
+                    "the base measured by touch poses at each visit of {stations}",
+                    stations=stations,
+                )
+            )
+        return "; ".join([*phrases, tr("validated on targets sent and measured.")])
 
     def _validity(self) -> str:
         """Return for what the results hold: the first page states the volume of a calibration."""
         if not (self._calibrated() or FirstPage(self.facts).validity_facts()):
-            return "described and to its state when it was measured"
+            return tr("described and to its state when it was measured")
         if self.facts.log.temperatures_c():
-            return "calibrated, in the volume, orientation and temperatures stated here"
-        return "calibrated, in the volume and orientation stated here; no temperature was measured"
+            return tr("calibrated, in the volume, orientation and temperatures stated here")
+        return tr(
+            "calibrated, in the volume and orientation stated here; no temperature was measured"
+        )
 
     def conditions(self) -> str:
         """Return the air in words, "" where nothing was measured."""
@@ -590,8 +676,12 @@ class Certificate:
             return ""
         celsius = self.facts.log.temperatures_c()
         if not celsius:
-            return "air not measured: the tracker has no weather station"
-        return f"air {min(celsius):.1f} to {max(celsius):.1f} °C at the tracker"
+            return tr("air not measured: the tracker has no weather station")
+        return tr(
+            "air {low:.1f} to {high:.1f} °C at the tracker",
+            low=min(celsius),
+            high=max(celsius),
+        )
 
     def conformity(self) -> str:
         facts = self.facts
@@ -599,22 +689,30 @@ class Certificate:
             return PoseReport(facts).conformity_text()
         limits, plan = facts.cell.validation, facts.cell.plan
         judged = validation_verdicts(facts.log)
-        rule = RULE
+        rule = tr(RULE)
         if facts.log.verdict(Rechecked) is not None:
-            return "chi-square tests of the errors against those that the calibration predicts"
+            return tr("chi-square tests of the errors against those that the calibration predicts")
         if plan.quick and not facts.procedure.used_in(facts.cell):
-            rule = (
-                f"sequential: that the mean of the volume is below its limit, and less than "
-                f"{plan.share_above_max:.0%} of it above the maximum, is each shown at every "
-                f"station at a risk of {plan.accept_risk:.1%}; {rule}"
+            rule = tr(
+                "sequential: that the mean of the volume is below its limit, and less than "
+                "{share:.0%} of it above the maximum, is each shown at every station at a risk of "
+                "{risk:.1%}; {rule}",
+                share=plan.share_above_max,
+                risk=plan.accept_risk,
+                rule=rule,
             )
         if not judged:
             return rule
-        stated = (
-            f"mean ≤ {limits.mean_tolerance_mm:g} mm and maximum ≤ {limits.max_tolerance_mm:g} mm"
+        stated = tr(
+            "mean ≤ {mean_mm:g} mm and maximum ≤ {max_mm:g} mm",
+            mean_mm=limits.mean_tolerance_mm,
+            max_mm=limits.max_tolerance_mm,
         )
         limits_deg = {each.max_tolerance_deg for each in judged.values() if each.max_tolerance_deg}
-        stated += "".join(f", error of orientation ≤ {limit_deg:g}°" for limit_deg in limits_deg)
+        stated += "".join(
+            tr(", error of orientation ≤ {limit_deg:g}°", limit_deg=limit_deg)
+            for limit_deg in limits_deg
+        )
         return f"{stated}; {rule}"
 
     def adjustment(self) -> str:
@@ -623,16 +721,16 @@ class Certificate:
         series = [validation(facts.log, names) for names in places(facts.cell).values()]
         measured = {how for each in series for how in each}
         if set(BOTH) <= measured:
-            return (
+            return tr(
                 "both are reported: “before” is the robot commanded by its nominal kinematics, "
                 "“after” the same robot with corrected targets"
             )
         if measured:
-            how = "before" if Sent.BEFORE in measured else "after"
-            return f"only “{how}” was measured"
+            how = tr("before") if Sent.BEFORE in measured else tr("after")
+            return tr("only “{how}” was measured", how=how)
         if facts.procedure.used_in(facts.cell):
-            return (
+            return tr(
                 "not both: targets were commanded with the correction of the calibration used, and "
                 "measured as found"
             )
-        return "neither was measured: this run sent no targets to compare"
+        return tr("neither was measured: this run sent no targets to compare")

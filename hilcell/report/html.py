@@ -11,6 +11,7 @@ from hilcell.calibration.instrument import TWO_FACES
 from hilcell.calibration.measurement_budget import measurement_budget
 from hilcell.calibration.position_errors import places, validation
 from hilcell.cell.undetectable_errors import undetectable_errors
+from hilcell.language import ENGLISH, Language, speaking
 from hilcell.model.point import CONTROL, Sent
 from hilcell.present.renderers import environment
 from hilcell.present.table import Table
@@ -62,8 +63,10 @@ PARTS = {
 }  # fmt: skip
 
 
-def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
-    """Return the report of a run, the same from the same journal.
+def report_html(
+    facts: Facts, pages: Mapping[str, int] | None = None, language: Language = ENGLISH
+) -> str:
+    """Return the report of a run, the same from the same journal; its first page in a language.
 
     ``pages`` says on which page each part begins, where that is known: on paper.
     """
@@ -93,7 +96,22 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
     if not targets.missing:
         hidden = undetectable_errors(cell, two_faces=TWO_FACES[0] in log.verdicts)
     tracker_mm, drawn = facts.tracker_mm, drawings(facts)
-    return environment("hilcell.report").get_template("report.html.j2").render(
+    templates, empty = environment("hilcell.report"), not (own or accuracy or judged)
+    with speaking(language):
+        first = templates.get_template("first_page.html.j2").render(
+            language=language.code,
+            facts=facts,
+            page=page,
+            issued=Certificate(facts),
+            tables=tables,
+            budget=budget,
+            targets=targets,
+            empty=empty,
+            departures=poses.departures(),
+            strip=strip(page.nearest_results(targets), simulated),
+        )
+    return templates.get_template("report.html.j2").render(
+        first=first,
         facts=facts,
         page=page,
         issued=Certificate(facts),
@@ -112,7 +130,6 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
         pose_tables=poses.tables(),
         plan=plan_view(cell, tracker_mm, simulated),
         side=side_view(cell, tracker_mm, simulated),
-        strip=strip(page.nearest_results(targets), simulated),
         variance=variance_bar(targets, simulated),
         nests=nests,
         air=air,

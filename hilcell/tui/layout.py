@@ -273,6 +273,8 @@ _SHAPES = {
     "+": (" ▄ ", "▀█▀", "   "),
     "-": ("  ", "▀▀", "  "),
     ".": (" ", " ", "▀"),
+    ",": (" ", " ", "█"),
+    " ": (" ", " ", " "),
     "P": ("█▀█", "█▀▀", "▀  "),
     "A": ("█▀█", "█▀█", "▀ ▀"),
     "S": ("█▀▀", "▀▀█", "▀▀▀"),
@@ -286,12 +288,21 @@ _SHAPES = {
     "E": ("█▀▀", "█▀▀", "▀▀▀"),
     "R": ("█▀█", "█▀▄", "▀ ▀"),
     "O": ("█▀█", "█ █", "▀▀▀"),
+    "N": ("█▄ █", "█ ▀█", "▀  ▀"),
+    "C": ("█▀▀", "█  ", "▀▀▀"),
+    "H": ("█ █", "█▀█", "▀ ▀"),
+    "G": ("█▀▀", "█ █", "▀▀▀"),
+    "Ü": ("▀ ▀", "█ █", "▀▀▀"),
 }
 
 
 def figure(value_mm: float) -> str:
     """Return a length as it is shown in large digits; dashes for what is no number."""
     return decimal(f"{value_mm:.3f}") if math.isfinite(value_mm) else "-.---"
+
+
+def has_shapes(text: str) -> bool:
+    return all(letter in _SHAPES for letter in text)
 
 
 def large_rows(text: str) -> tuple[str, str, str]:

@@ -27,6 +27,7 @@ REASONS = {  # in short, by the code of the interlock; the whole one is on the i
     "HC-R42": marked("drive has power"),
     "HC-S05": marked("slide not at its station"),
 }
+TITLES = marked({"rail": "Rail", "strip": "Strip", "robot": "Robot", "tracker": "Tracker"})
 NAMES = marked({"rail move": "Rail", "robot move": "Robot", "measurement": "Tracker"})
 
 
@@ -108,7 +109,7 @@ class DeviceText:
     def lamp(self, name: str, device: DeviceStatus) -> Content:
         """Return one lamp; a stale reading is grey and shows its age."""
         glyphs = self.glyphs
-        title = tr(name.capitalize())
+        title = tr(TITLES.get(name, name.capitalize()))
         if device.state == "lost":
             return Content.styled(
                 f"{glyphs.lost} {tr('{device} lost', device=title)}", "bold $fault"

@@ -59,6 +59,7 @@ from hilcell.tui.layout import (
     Stack,
     Text,
     figure,
+    has_shapes,
     labelled_rows,
     large,
     large_rows,
@@ -140,12 +141,13 @@ class Head:
         """Return the words on their ground, over the mark of a simulation."""
         texts: list[str] = []
         for word in self.words:
-            is_bold = glyphs.plain or len(word) > (self.BLOCK + 1) // 4  # longer than large letters
+            is_long = len(word) > (self.BLOCK + 1) // 4  # for large letters
+            is_bold = glyphs.plain or is_long or not has_shapes(word)
             texts += ["", word, ""] if is_bold else large_rows(word)
         if len(self.words) == 1:
             texts = ["", *texts, "", self.stated]
         last = mark.pad_left((self.BLOCK - mark.cell_length) // 2).truncate(self.BLOCK, pad=True)
-        words = (Content.styled(decimal(f"{text:^{self.BLOCK}}"), self.style) for text in texts)
+        words = (Content.styled(f"{text:^{self.BLOCK}}", self.style) for text in texts)
         return [*words, last.stylize_before(self.style.removeprefix("bold "))]
 
     def small(self, mark: Content, glyphs: Glyphs) -> Lines:

@@ -233,9 +233,9 @@ class Shown:
             words = (f"{glyphs.stale} {self.word}", "$stale" if self.stale else "")
             return [["", words, ""], ["", "", ""]]
         role, shape, word, was = OUTCOME_STYLES[deviation.outcome]
-        label = (f"{getattr(glyphs, shape)} {word}", f"bold ${role}")
+        label = (f"{getattr(glyphs, shape)} {tr(word)}", f"bold ${role}")
         if self.stale:
-            label = (f"{glyphs.stale} {was}", "$stale")
+            label = (f"{glyphs.stale} {tr(was)}", "$stale")
         share, guard = (
             self.TO_LIMIT * each / deviation.limit_mm
             for each in (deviation.norm_mm, deviation.U_mm)
