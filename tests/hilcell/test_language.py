@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -25,6 +26,7 @@ from hilcell.language import (
 from hilcell.languages.__main__ import Catalogue, keys_of
 from hilcell.report.facts import read_facts
 from hilcell.report.html import report_html
+from hilcell.tui.process import run_in_thread
 from tests.hilcell.report.journals import validated_run
 
 GERMAN = language_of("de_DE")
@@ -34,8 +36,8 @@ ENGLISH_WORDS = re.compile(
     r"check|this|that|which|from|by|at|measured|moved|robot|rail|slide|cell|run|tool|target)\b"
 )
 OURS = re.compile(
-    r"`[^`]*`|„[^“]*“|\{[^}]*\}|\[\[tool\]\]|\(Tian et al.*?\)|/dev/\S*|state:\w+|operator:\w+|"
-    r"calibration\.json"
+    r"`[^`]*`|„[^“]*“|\{[^}]*\}|\[\[tool\]\]|\(Tian et al.*?\)|/dev/\S*|--\w+|"
+    r"state:\w+|operator:\w+|calibration\.json"
 )
 
 
@@ -108,8 +110,7 @@ def test_german_texts_have_the_values_of_the_english_ones_and_no_english_word(
     for english, german in Catalogue.of(package, "de").texts.items():
         if "{W}" not in english:  # a frame where nothing else is in braces
             assert _fields(german) == _fields(english), english
-        assert re.match(r"\s*", german)[0] == re.match(r"\s*", english)[0], english  # type: ignore[index]
-        assert german[len(german.rstrip()) :] == english[len(english.rstrip()) :], english
+        assert german.replace(german.strip(), "|") == english.replace(english.strip(), "|"), english
         assert set(re.findall(r"`[^`]*`", german)) == set(re.findall(r"`[^`]*`", english)), english
         found = ENGLISH_WORDS.search(OURS.sub("", german))
         assert found is None, f"{found}: {german}"
@@ -120,7 +121,21 @@ def test_an_edited_text_is_missing_and_its_translation_is_outdated(tmp_path: Pat
     catalogue = Catalogue(tmp_path / "de.po", {before: "Stativ prüfen."}, [now])
     assert (catalogue.missing, catalogue.unused) == ([now], [before])
     assert catalogue.outdated(now) == before
+    assert catalogue._replace(texts={now: ""}).missing == [now]
     assert before not in catalogue.content("de")
+
+
+def test_a_terminal_of_ascii_spells_german_letters() -> None:
+    texts = GERMAN.in_ascii().texts
+    assert texts["Robot not reached"] == "Roboter nicht erreicht"
+    assert texts["acknowledged"] == GERMAN.texts["acknowledged"] == "quittiert"
+    assert texts["Guard open"] == "Schutztuer offen"
+    assert not [text for text in texts.values() if set(text) & set("äöüßÄÖÜ„“")]
+
+
+def test_a_thread_of_the_screen_speaks_its_language() -> None:
+    with speaking(GERMAN):
+        assert asyncio.run(run_in_thread(tr, "limit")) == "Grenze"
 
 
 def test_alarms_procedures_and_templates_are_among_the_keys() -> None:
