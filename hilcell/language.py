@@ -8,7 +8,7 @@ page while it is rendered. So nothing that a script or a journal gets depends on
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
@@ -83,6 +83,18 @@ def spoken() -> Language:
 def tr(english: str, /, **values: object) -> str:
     """Return a text in the language of the context, its ``{names}`` replaced by values."""
     return _SPOKEN.get().text(english, values)
+
+
+def retold(sentence: str, forms: Iterable[str]) -> str:
+    """Return in the language what another process has said, in English, in one of these forms."""
+    for form in forms:
+        parts = re.split(r"\{(\w+)\}", form)
+        pattern = "".join(
+            f"(?P<{part}>.+)" if n % 2 else re.escape(part) for n, part in enumerate(parts)
+        )
+        if found := re.fullmatch(pattern, sentence):
+            return tr(form, **found.groupdict())
+    return sentence
 
 
 def marked(english: T) -> T:

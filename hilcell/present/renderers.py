@@ -5,10 +5,10 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, MutableMapping, Sequence
 from datetime import UTC, datetime
 from functools import cache
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any
 
 from hilcell.language import tr
 from hilcell.present.table import Named, Table, Value
@@ -94,7 +94,8 @@ def environment(*packages: str) -> Environment:
         lstrip_blocks=True,
     )
     made.filters["trusted"] = Markup  # for hilcell's own SVG only
-    cast("dict[str, object]", made.globals)["tr"] = tr
+    known: MutableMapping[str, Any] = made.globals
+    known["tr"] = tr
     return made
 
 

@@ -19,9 +19,24 @@ import numpy as np
 from hilcell.alarms.catalogue import entry_of
 from hilcell.cell.file import Cell
 from hilcell.errors import DeviceError, NoReading
+from hilcell.language import marked
 from hilcell.ports import Array, Clock
 from hilcell.run.control import RELEASE, Choice, PromptStatus
 
+TEXTS = marked(  # of prompts, which the screen shows in its language
+    {
+        "flange": "Seat the reflector on the flange",
+        "nest": "Seat the reflector in {place}",
+        "swap": "Seat the reflector of {reflector} in {place}",
+        "aim": "Put the beam on {place}",
+        "aim text": "The run goes on by itself once the tracker measures the reflector there. "
+        "Nothing moves.",
+        "cable": "Plug the rail's cable in again",
+        "cable text": "Keep away from the slide until it stands still, and leave the cable out for "
+        "3 s at least. The run goes on by itself once the drive answers.",
+        "reading": "No good reading of {place}",
+    }
+)
 POLL_S = 0.5
 WIDER_MM = 300.0
 
@@ -49,9 +64,9 @@ class Prompt(msgspec.Struct, frozen=True, kw_only=True):
     ) -> Prompt:
         """Return the prompt to carry the reflector from ``at`` to ``place``."""
         take = f"Take the reflector from {_where(cell, at)} and" if at else "Take the reflector and"
-        on = "on the flange" if place == FLANGE else f"in {place}"
+        title = TEXTS["flange" if place == FLANGE else "nest"]
         return cls(
-            title=f"Seat the reflector {on}",
+            title=title.format(place=place),
             text=f"{take} seat it in {_where(cell, place)}. The robot rests at its safe pose"
             f"{', the slide is held' if cell.has_rail else ''}.",
             place=place,
@@ -70,7 +85,7 @@ class Prompt(msgspec.Struct, frozen=True, kw_only=True):
         if place == nest:
             text = f"Put every reflector back where it belongs, its own into {into}."
         return cls(
-            title=f"Seat the reflector of {place} in {nest}",
+            title=TEXTS["swap"].format(reflector=place, place=nest),
             text=f"{text} Clean nest and ball. The robot rests at its safe pose.",
             place=nest,
             expected_mm=_rounded(expected_mm),
@@ -82,9 +97,8 @@ class Prompt(msgspec.Struct, frozen=True, kw_only=True):
     def aim(cls, place: str) -> Prompt:
         """Return the prompt to put the beam on a place; it goes on by itself."""
         return cls(
-            title=f"Put the beam on {place}",
-            text="The run goes on by itself once the tracker measures the reflector there. Nothing "
-            "moves.",
+            title=TEXTS["aim"].format(place=place),
+            text=TEXTS["aim text"],
             place=place,
             expected_mm=None,
             limit_mm=1.0,
@@ -96,9 +110,8 @@ class Prompt(msgspec.Struct, frozen=True, kw_only=True):
     def plug_in(cls) -> Prompt:
         """Return the prompt to plug a rail's cable in again; it goes on by itself."""
         return cls(
-            title="Plug the rail's cable in again",
-            text="Keep away from the slide until it stands still, and leave the cable out for 3 s "
-            "at least. The run goes on by itself once the drive answers.",
+            title=TEXTS["cable"],
+            text=TEXTS["cable text"],
             place="rail",
             expected_mm=None,
             limit_mm=1.0,
@@ -130,7 +143,7 @@ class Prompt(msgspec.Struct, frozen=True, kw_only=True):
         if looked := where_looked(near_mm, error):
             text += f" Expected {looked}."
         return cls(
-            title=f"No good reading of {place}",
+            title=TEXTS["reading"].format(place=place),
             text=text,
             place=place,
             expected_mm=_rounded(near_mm),

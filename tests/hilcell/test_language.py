@@ -20,12 +20,14 @@ from hilcell.language import (
     language_of,
     of_environment,
     packages,
+    retold,
     speaking,
     tr,
 )
 from hilcell.languages.__main__ import Catalogue, keys_of
 from hilcell.report.facts import read_facts
 from hilcell.report.html import report_html
+from hilcell.run.prompts import TEXTS
 from hilcell.tui.process import run_in_thread
 from tests.hilcell.report.journals import validated_run
 
@@ -125,6 +127,20 @@ def test_an_edited_text_is_missing_and_its_translation_is_outdated(tmp_path: Pat
     assert before not in catalogue.content("de")
 
 
+@pytest.mark.parametrize(
+    ("sentence", "german"),
+    [
+        ("Seat the reflector in N1", "Reflektor in N1 setzen"),
+        ("Seat the reflector of F2 in F1", "Reflektor von F2 in F1 setzen"),
+        ("Seat the reflector on the flange", "Reflektor an den Flansch setzen"),
+        ("Wash the dishes", "Wash the dishes"),
+    ],
+)
+def test_what_an_engine_asks_in_english_is_retold(sentence: str, german: str) -> None:
+    with speaking(GERMAN):
+        assert retold(sentence, TEXTS.values()) == german
+
+
 def test_a_terminal_of_ascii_spells_german_letters() -> None:
     texts = GERMAN.in_ascii().texts
     assert texts["Robot not reached"] == "Roboter nicht erreicht"
@@ -150,11 +166,11 @@ def test_what_a_script_reads_is_the_same_in_each_language(
     seen = []
     for locale in ("C.UTF-8", "de_DE.UTF-8"):
         monkeypatch.setenv("LC_ALL", locale)
-        for words in (["explain", "HC-B01", "--json"], ["explain", "HC-B01"]):
-            assert main(words) == 0
+        for words in ("explain HC-B01 --json", "check paper --json", "explain HC-B01"):
+            assert main(words.split()) == 0
             seen.append(capfd.readouterr().out)
-    assert seen[0] == seen[2]
-    assert "Roboter nicht erreicht" in seen[3] != seen[1]
+    assert seen[:2] == seen[3:5]
+    assert "Roboter nicht erreicht" in seen[5] != seen[2]
 
 
 def test_the_first_page_is_in_the_language_of_who_renders_it(tmp_path: Path) -> None:

@@ -188,8 +188,8 @@ def test_one_reflector_carried_by_hand_from_nest_to_nest(tmp_path: Path) -> None
 
 def test_the_screen_speaks_the_language_of_the_locale(tmp_path: Path) -> None:
     """German by LANG alone; the form, the help and the end."""
-    german = {"LC_ALL": "", "LANG": "de_DE.UTF-8"}
-    with Terminal(["tui", "--runs", str(tmp_path), *sets(SMALL)], **german) as terminal:
+    words = ["tui", "--runs", str(tmp_path), *sets(SMALL)]
+    with Terminal(words, LC_ALL="", LANG="de_DE.UTF-8") as terminal:
         terminal.shows("vor dem Start", "NICHTS OFFEN", "Prüfungen", "Schritte")
         terminal.press("?")
         terminal.shows("Erste Kalibrierung", "zurück")

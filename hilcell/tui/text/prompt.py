@@ -23,10 +23,11 @@ from textual.content import Content
 from hilcell.calibration.frames import Frames
 from hilcell.geometry.frames import apply
 from hilcell.journal.labels import with_labels
-from hilcell.language import decimal, tr
+from hilcell.language import decimal, retold, tr
 from hilcell.model.events import StationHeld
 from hilcell.ports import Array
 from hilcell.run.control import PromptStatus
+from hilcell.run.prompts import TEXTS
 from hilcell.sanitize import harmless
 from hilcell.tui.keys import CHOICE_KEYS
 from hilcell.tui.layout import BLANK, Cell, Col, Drawing, Grid, Lines, large
@@ -50,8 +51,10 @@ class PromptBox(Horizontal, TitledBox):
         """Show a prompt, with few rows without large digits; its words may be a device's."""
         prompt = msgspec.structs.replace(
             prompt,
-            title=harmless(prompt.title),
-            text=with_labels(harmless(prompt.text.replace("\n", " ")), view.log),
+            title=retold(harmless(prompt.title), TEXTS.values()),
+            text=with_labels(
+                retold(harmless(prompt.text.replace("\n", " ")), TEXTS.values()), view.log
+            ),
             place=harmless(prompt.place),
         )
         picture, enter, reading = self.query(TextPanel)

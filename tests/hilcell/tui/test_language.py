@@ -40,3 +40,7 @@ def test_no_word_is_cut_in_german_that_is_whole_in_english(
         name: german[name] for name in german if german[name].count("…") > english[name].count("…")
     }
     assert not cut, "\n".join(cut.values())
+    if state and size == SMALL:  # the footer keeps its two rows
+        first, last = german["run"].splitlines()[-2:]
+        assert "Esc STOP" in first
+        assert "Hilfe" in last
