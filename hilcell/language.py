@@ -14,8 +14,6 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cache
-from importlib import resources
-from importlib.metadata import entry_points
 from string import Formatter
 from typing import TypeVar
 
@@ -132,6 +130,8 @@ def of_environment(environ: Mapping[str, str]) -> Language:
 
 def packages() -> list[str]:
     """Return the names of the packages that may have catalogues, hilcell's own last."""
+    from importlib.metadata import entry_points
+
     found = {
         (point.dist is not None and point.dist.name == "hilcell", point.module)
         for point in entry_points(group=GROUP)
@@ -145,11 +145,13 @@ def language_of(name: str) -> Language:
 
     Raises `HilcellError` for a catalogue that cannot be read.
     """
+    from importlib import resources  # English needs none of it
+
     code = name.partition("_")[0]
     files = [resources.files(each) / f"{code}.po" for each in packages()] if code.isalpha() else []
     if not (files := [each for each in files if each.is_file()]):
         return ENGLISH
-    from babel import Locale, UnknownLocaleError  # English needs none of it
+    from babel import Locale, UnknownLocaleError
     from babel.messages.pofile import PoFileError, read_po
     from babel.numbers import get_decimal_symbol
 
