@@ -426,7 +426,8 @@ class EmsconDevice:
     # -- work -----------------------------------------------------------------------------------
 
     def _initialise(self, command: int) -> Steps:
-        self._keep_beam()
+        self._loose = False
+        self._truth.start_tracker()
         yield self.INITIALISE_S
         self._initialised, self._target, self._face = True, None, self.FIRST
         yield reply(command) + status_change(Change.INITIALIZATION)

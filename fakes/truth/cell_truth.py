@@ -105,6 +105,12 @@ class CellTruth:
         self._in_hand = ""
         self._person.leave_beam()
 
+    def start_tracker(self) -> None:
+        """Let the person who carries the only reflector begin again: a run has begun."""
+        self.keep_beam()
+        if self.cell.layout.by_hand:
+            self._person.begin_again()
+
     def aimed_at(self) -> str | None:
         """Return, once, the nest that the person has put the beam on; None before."""
         place = self._person.put_down()
@@ -289,6 +295,9 @@ class ReplayTruth:
 
     def keep_beam(self) -> None:
         """Let the tracker aim by itself again."""
+
+    def start_tracker(self) -> None:
+        """Do nothing: nobody is there."""
 
     def aimed_at(self) -> None:
         """Return None: nobody has put the beam anywhere."""

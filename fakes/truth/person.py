@@ -31,8 +31,13 @@ class Person:
         self._rng, self._time = rng, time
         ordered = [rng.permutation(np.array(group, dtype=object)).tolist() for group in groups]
         nests: list[str] = [nest for group in ordered for nest in group]
-        self._places = cycle([*nests, *corners, *corners[-1:]])
+        self._round = [*nests, *corners, *corners[-1:]]
+        self._places = cycle(self._round)
         self._arrives_s: float | None = None
+
+    def begin_again(self) -> None:
+        """Begin the round again: somebody asks for the first nest."""
+        self._places = cycle(self._round)
 
     def take_beam(self) -> None:
         """Take a beam that was just let go; one that is on its way starts again."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from queue import Queue
 
@@ -117,6 +118,11 @@ class _AnsweringOutput(ProgressOutput):
             if not self._waits.wait(ANSWER_S):
                 continue
             line = self._dialogue.waiting_line(ANSWER_S)
+            if self._dialogue.over:
+                print_message("the input has ended before this was answered; the run stops")
+                with suppress(HilcellError):  # it has ended by itself
+                    order(self._run, "stop")
+                return
             if line is None or not self._dialogue.agrees(line):
                 self._ended.wait(ANSWER_S)
                 continue

@@ -17,7 +17,7 @@ from hilcell.commands.console import print_message
 from hilcell.commands.signatures import Quickstart
 from hilcell.commission.cell_text import CellText
 from hilcell.commission.draft import write_floor_robot
-from hilcell.commission.steps import motions, refuse_built_in, steps_to_perform
+from hilcell.commission.steps import StepEnded, motions, refuse_built_in, steps_to_perform
 from hilcell.errors import EXIT_OK, EXIT_OUT_OF_TOLERANCE, HilcellError
 from hilcell.report.export import urdf_of_run
 from hilcell.report.facts import read_facts
@@ -39,7 +39,10 @@ def quickstart(args: Quickstart) -> int:
     person.dialogue.real = cell.simulation is None
     if not person.dialogue.agree(motions(cell, load_entry("procedures", CALIBRATE))):
         raise HilcellError("the calibration was not agreed to; nothing moved", code="HC-C40")
-    name, log = person.run(CALIBRATE)
+    try:
+        name, log = person.run(CALIBRATE)
+    except StepEnded as ended:  # it has said why, and how it is resumed
+        return ended.exit_code
     folder = args.runs / name
     print_message(last_word(log, folder, None).text)
     _write(args.cell, folder)
@@ -53,10 +56,12 @@ def quickstart(args: Quickstart) -> int:
 
 
 def _begin(path: Path) -> None:
-    """Begin the cell file; raises `SettingsError` for one of a cell with a rail."""
+    """Begin the cell file; raises `SettingsError` for one of another kind of cell."""
     text = CellText.read(path)
-    if text.get("rail") is not None:
-        problem = f"rail: this cell has one; use `hilcell commission {path}`"
+    rail, by_hand = text.get("rail"), text.get("layout.reflectors") == "by_hand"
+    if rail is not None or (text.values and not by_hand):
+        what = "it has a rail" if rail is not None else "its reflectors are mounted"
+        problem = f"this cell is of another kind, {what}: use `hilcell commission {path}`"
         raise SettingsError(str(path), [problem])
     write_floor_robot(text, NESTS)
     text.write(path)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hilcell.cell.devices import load_entry
+from hilcell.cell.file import Cell
 from hilcell.cell.source import built_in_cells
 from hilcell.commands.console import print_message
 from hilcell.commands.run_output import (
@@ -27,7 +28,7 @@ from hilcell.journal.runs_folder import command_on
 from hilcell.model.events import Announced, StepBegun
 from hilcell.model.records import WAITING
 from hilcell.ports import HilcellError
-from hilcell.run.control import HERE, MEASURED_S, RELEASE, order
+from hilcell.run.control import HERE, MEASURED_S, RELEASE, PromptStatus, order
 from hilcell.run.engine import Engine, NewEngine, ResumedEngine
 from hilcell.run.last_word import last_word
 from hilcell.run.order import Attendance, Order, Resume
@@ -131,9 +132,28 @@ def _resume_live(folder: Path, engine: EngineFile, args: Resume) -> int:
         order(folder, "answer", choice=args.answer, timeout_s=MEASURED_S)
         print_message(f"run {folder.name}: answered {args.answer}; the run continues")
         return 0
+    if status.prompt is not None and status.state == "suspended":
+        words = _answered(folder, log.cell, status.prompt, carries=operator)
+        print_message(f"run {folder.name}: {words}")
+        return 0
     answer = order(folder, "proceed", until=newest)
     print_message(f"run {folder.name}: asked to continue; it was {answer.state}")
     return 0
+
+
+def _answered(folder: Path, cell: Cell, prompt: PromptStatus, *, carries: bool) -> str:
+    """Say that a run's prompt is done; return whether the tracker agrees. In a simulated cell the
+    person ``carries`` the reflector first, where there is somebody who was asked to.
+    """
+    from hilcell.commission.first_steps import carry_reflector  # edits cell files
+
+    try:
+        if carries and prompt.expected_mm is not None:
+            carry_reflector(cell, prompt.expected_mm)
+        order(folder, "answer", timeout_s=MEASURED_S)
+    except HilcellError as error:
+        return f"it still waits: {prompt.title}; {error}"
+    return f"{prompt.title}: done; the run continues"
 
 
 def _leave_working(

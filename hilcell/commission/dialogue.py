@@ -132,6 +132,11 @@ class TypedDialogue(Dialogue):
             except Empty:
                 return
 
+    @property
+    def over(self) -> bool:
+        """Whether the input has ended."""
+        return self._over
+
     def waiting_line(self, limit_s: float) -> str | None:
         """Return a typed line, None if none comes in time or input has ended."""
         if self._over:

@@ -73,17 +73,36 @@ def test_the_page_is_typed(tmp_path: Path) -> None:
     assert np.linalg.norm(seen_mm - cell.robot.smr_mm) < 3.0  # the grid alone leaves it open
 
 
-def test_a_cell_with_a_rail_is_told_to_be_commissioned(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ('[rail]\ndriver = "canopen"\n', "it has a rail"),
+        ('name = "mine"\n', "its reflectors are mounted"),
+    ],
+)
+def test_a_cell_of_another_kind_is_not_changed(text: str, what: str, tmp_path: Path) -> None:
     file = tmp_path / "mycell.toml"
-    file.write_text('[rail]\ndriver = "canopen"\n')
+    file.write_text(text)
     done = hilcell("quickstart", file)
     assert done.returncode == 2
-    assert f"rail: this cell has one; use `hilcell commission {file}`" in done.stderr
+    assert f"{what}: use `hilcell commission {file}`" in done.stderr
+    assert file.read_text() == text
 
 
 def test_a_built_in_cell_is_refused() -> None:
     done = hilcell("quickstart", "fixed")
     assert (done.returncode, "mycell.toml" in done.stderr) == (2, True)
+
+
+def test_input_that_ends_within_a_run_stops_it(tmp_path: Path) -> None:
+    words = ("--cell", "fixed", "--set", "layout.reflectors=by_hand", "--speed", "max")
+    with sim_command(*words, "--ports", "robot=0,tracker=0,control=0") as shop_cell:
+        answers = ["HC-7", shop_cell.control, "kuka-c3", "leica-emscon", "", "floor", ""]
+        done = typed(
+            "hilcell quickstart mycell.toml", tmp_path, "\n".join([*answers, *"yyyyy", ""])
+        )
+    assert done.returncode in (2, 4)
+    assert "the input has ended" in done.stderr
 
 
 def test_input_that_ends_is_told_how_to_go_on(tmp_path: Path) -> None:

@@ -675,7 +675,7 @@ class _Reader:
         unused = [
             each.text
             for each in data.values()
-            if each.kind == "ROBTARGET" and each.name not in used
+            if each.kind == "ROBTARGET" and each.name not in used and not is_home(each.name)
         ]
         if unused:
             yield f"not used by a motion, left: {', '.join(bounded(unused))}"
