@@ -108,7 +108,4 @@ class Figure(NamedTuple):
     def why(self) -> str:
         if self.limit is None:
             return self.measured
-        measured, outcome = self.measured, self.outcome
-        if outcome is Outcome.REJECTED:  # even with U taken off
-            measured = measured.replace(" + U ", " - U ")
-        return f"{measured} {outcome.relation} {self.limit:g} {self.unit}".rstrip()
+        return f"{self.measured} {self.outcome.relation} {self.limit:g} {self.unit}".rstrip()

@@ -108,7 +108,9 @@ def test_a_kept_recording_repeats(pair: str, tmp_path: Path) -> None:
 def test_every_shipped_driver_has_a_kept_recording() -> None:
     named = [each for pair in PAIRS for each in pair.split(",")]
     kept = {each.removesuffix("-strip").removesuffix("-swept") for each in named}
-    assert kept == set().union(*(names_of(group) for group in ("robots", "trackers", "rails")))
+    shipped = set().union(*(names_of(group) for group in ("robots", "trackers", "rails")))
+    by_udp = {"abb-egm"}  # its positions are in no recording
+    assert kept == shipped - by_udp
     assert {path.name for path in KEPT.iterdir()} == set(PAIRS)
     assert sum(path.stat().st_size for path in KEPT.rglob("*") if path.is_file()) < 600_000
 

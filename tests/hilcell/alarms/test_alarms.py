@@ -233,7 +233,7 @@ def test_temperature_is_judged_from_the_first_point_and_reported_once() -> None:
 @pytest.mark.parametrize(
     ("judged", "code", "why"),
     [
-        (REJECTED, "HC-V01", "mean 0.2000 - U 0.0400 mm is above its limit of 0.12 mm"),
+        (REJECTED, "HC-V01", "mean 0.2000 + U 0.0400 mm is above its limit of 0.12 mm"),
         (UNDECIDED, "HC-V17",
          "mean 0.1000 + U 0.0400 mm is not shown to keep its limit of 0.12 mm"),
     ],

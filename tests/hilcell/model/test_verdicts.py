@@ -208,7 +208,7 @@ def test_a_characteristic_that_was_not_measured_keeps_no_limit() -> None:
 
 
 def test_what_decided_is_said_alone() -> None:
-    assert verdicts.REJECTED.why == "mean 0.2000 - U 0.0400 mm is above its limit of 0.12 mm"
+    assert verdicts.REJECTED.why == "mean 0.2000 + U 0.0400 mm is above its limit of 0.12 mm"
     assert JUDGED.why == JUDGED.decision
     few = replace(JUDGED, holds=False, decided=Outcome.UNDECIDED, decision="too few targets")
     assert few.why == "too few targets"
