@@ -426,8 +426,7 @@ class EmsconDevice:
     # -- work -----------------------------------------------------------------------------------
 
     def _initialise(self, command: int) -> Steps:
-        self._loose = False
-        self._truth.start_tracker()
+        self._keep_beam()
         yield self.INITIALISE_S
         self._initialised, self._target, self._face = True, None, self.FIRST
         yield reply(command) + status_change(Change.INITIALIZATION)
@@ -438,6 +437,10 @@ class EmsconDevice:
         self._loose = True
         self._truth.release_beam()
         yield reply(command)
+
+    def meet_run(self) -> None:
+        """Let the person in the hall begin again: a run has come."""
+        self._truth.begin_round()
 
     def _keep_beam(self) -> None:
         """Move the head by its motors: nobody has the beam any more."""
@@ -636,6 +639,7 @@ class EmsconServer(Server):
 
     def _serve(self, client: socket.socket) -> None:
         session = _Session(client)
+        self._device.meet_run()
         while True:
             packet = session.receive(None)
             if packet is not None:

@@ -105,9 +105,8 @@ class CellTruth:
         self._in_hand = ""
         self._person.leave_beam()
 
-    def start_tracker(self) -> None:
-        """Let the person who carries the only reflector begin again: a run has begun."""
-        self.keep_beam()
+    def begin_round(self) -> None:
+        """Let the person who carries the only reflector begin again at the first nest."""
         if self.cell.layout.by_hand:
             self._person.begin_again()
 
@@ -296,7 +295,7 @@ class ReplayTruth:
     def keep_beam(self) -> None:
         """Let the tracker aim by itself again."""
 
-    def start_tracker(self) -> None:
+    def begin_round(self) -> None:
         """Do nothing: nobody is there."""
 
     def aimed_at(self) -> None:
