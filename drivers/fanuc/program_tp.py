@@ -492,7 +492,10 @@ class _Reader:
 
     def _notes(self) -> list[str]:
         """Return notes on all that was left, and on conditions that are not checked."""
-        notes = ["its positions are in UF 0, the controller's world frame: it must be {B}"]
+        notes = [
+            "its positions are in UF 0, the controller's world frame, whose origin is usually at the "
+            "height of axis 2: it must be {B}"
+        ]
         if self._frame != 0:
             frame = "the frame in force" if self._frame is None else f"UF {self._frame}"
             notes = [f"its positions are in {frame}"]
@@ -772,6 +775,11 @@ def _statements(program: StationProgram, stamp: Stamp, points: _Points) -> Itera
         yield from remark_lines(remark)
     yield "UFRAME_NUM=0 ;"
     yield f"UTOOL_NUM={points.tool} ;"
+    yield from remark_lines(
+        f"UF 0 must be hilcell's {{B}}, whose origin is {program.arm.d_mm[0]:.0f} mm below axis 2; "
+        "a FANUC's own is usually at axis 2: compare, then start"
+    )
+    yield "PAUSE ;"
     yield f"J {safe} {speed}"
     yield from remark_lines("slide held, strip as the sheet says, drill drawn back: start goes on")
     yield "PAUSE ;"

@@ -67,12 +67,12 @@ def test_its_order_of_motions(program: StationProgram) -> None:
     assert len(names) - len(direct) == count
     lines = written(program).splitlines()
     assert "LINE_COUNT\t= {};".format(lines[lines.index("/POS") - 1].split(":")[0].strip()) in lines
-    first, pause = (next(n for n, each in enumerate(lines) if part in each)
-                    for part in ("SAFE1] ", "PAUSE ;"))  # fmt: skip
-    assert lines[first - 2 : first] == [lines[first - 2], lines[first - 1]]
-    assert "UFRAME_NUM=0" in lines[first - 2]
-    assert "UTOOL_NUM=1" in lines[first - 1]
-    assert first < pause < next(n for n, each in enumerate(lines) if "XA1]" in each)
+    kinds = ("UFRAME_NUM=0", "UTOOL_NUM=1", "PAUSE ;", "SAFE1] ", "XA1] ")
+    order = [kind for each in lines for kind in kinds if kind in each]
+    assert order[: len(kinds) + 1] == [*kinds[:4], "PAUSE ;", "XA1] "]
+    first = next(n for n, each in enumerate(lines) if "PAUSE ;" in each)
+    said = " ".join(each.partition("!")[2].removesuffix(" ;") for each in lines[:first])
+    assert "origin is 645 mm below axis 2" in said
     assert all(len(each.partition("!")[2]) <= 32 + len(" ;") for each in lines)
     assert any("!1 of 2: Trager, deg1 ;" in each for each in lines)
 
