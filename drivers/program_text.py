@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Sequence
 from decimal import Decimal
 from pathlib import Path
 from typing import NamedTuple
@@ -18,6 +19,7 @@ from hilcell.compensation.programs import StationProgram
 
 ENCODING = "latin-1"
 ASCII = 128  # so many characters
+OPENS, CLOSES = ("(", "[", "{"), (")", "]", "}")
 MARK = "\xef\xbb\xbf"  # the byte order mark of UTF-8, which editors put first
 
 
@@ -31,6 +33,32 @@ class Number(NamedTuple):
     @property
     def value(self) -> float:
         return float(self.text)
+
+
+class Token(NamedTuple):
+    """A token of a file; ``word``: its name in capitals; ``start`` counts characters from the
+    file's begin.
+    """
+
+    kind: str
+    text: str
+    start: int
+    word: str
+
+    @property
+    def end(self) -> int:
+        return self.start + len(self.text)
+
+
+def split(tokens: Sequence[Token], sign: str) -> list[Sequence[Token]]:
+    """Split tokens at a sign outside of all brackets."""
+    parts, depth, begin = list[Sequence[Token]](), 0, 0
+    for n, token in enumerate(tokens):
+        depth += (token.text in OPENS) - (token.text in CLOSES)
+        if depth == 0 and token.text == sign:
+            parts.append(tokens[begin:n])
+            begin = n + 1
+    return [*parts, tokens[begin:]]
 
 
 class Edit(NamedTuple):

@@ -492,10 +492,8 @@ class _Reader:
 
     def _notes(self) -> list[str]:
         """Return notes on all that was left, and on conditions that are not checked."""
-        notes = [
-            "its positions are in UF 0, the controller's world frame, whose origin is usually at the "
-            "height of axis 2: it must be {B}"
-        ]
+        root = "the controller's world frame, whose origin is usually at the height of axis 2"
+        notes = [f"its positions are in UF 0, {root}: it must be {{B}}"]
         if self._frame != 0:
             frame = "the frame in force" if self._frame is None else f"UF {self._frame}"
             notes = [f"its positions are in {frame}"]

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import NamedTuple
 
-from drivers.program_text import MARK, Number
+from drivers.program_text import CLOSES, MARK, OPENS, Number, Token, split
 from hilcell.ports import HilcellError
 
 NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
@@ -36,19 +36,6 @@ _TOKEN = re.compile(
 
 class RapidError(HilcellError):
     """RAPID that cannot be read; the message states what, its reader adds where."""
-
-
-class Token(NamedTuple):
-    """``word`` is a name in capitals, "" for all else; ``start``: characters from the begin."""
-
-    kind: str
-    text: str
-    start: int
-    word: str
-
-    @property
-    def end(self) -> int:
-        return self.start + len(self.text)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +60,6 @@ LISTED = ("MODULE", "PROC", "FUNC", "TRAP", "RECORD", "ERROR")  # a list in brac
 UNTIL = {
     "IF": ("THEN", ";"), "ELSEIF": ("THEN",), "WHILE": ("DO",), "FOR": ("DO",), "CASE": (":",),
 }  # fmt: skip
-OPENS, CLOSES = ("(", "[", "{"), (")", "]", "}")
 OPERATORS = ("AND", "OR", "XOR", "NOT", "DIV", "MOD")
 
 
@@ -137,17 +123,6 @@ def closing(tokens: Sequence[Token], at: int) -> int:
         if depth == 0:
             return n
     return len(tokens) - 1
-
-
-def split(tokens: Sequence[Token], sign: str) -> list[Sequence[Token]]:
-    """Split tokens at a sign outside of all brackets."""
-    parts, depth, begin = list[Sequence[Token]](), 0, 0
-    for n, token in enumerate(tokens):
-        depth += (token.text in OPENS) - (token.text in CLOSES)
-        if depth == 0 and token.text == sign:
-            parts.append(tokens[begin:n])
-            begin = n + 1
-    return [*parts, tokens[begin:]]
 
 
 def quoted(tokens: Sequence[Token]) -> str:

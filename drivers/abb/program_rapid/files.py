@@ -35,16 +35,14 @@ from drivers.abb.program_rapid.data import (
     RapidError,
     Routine,
     Statement,
-    Token,
     closing,
     floats,
     quoted,
     row,
-    split,
     structure,
 )
 from drivers.abb.program_rapid.program import Program, Target, from_quaternions
-from drivers.program_text import source_text
+from drivers.program_text import Token, source_text, split
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.programs import StatedBase, StatedTool, Stroke
 from hilcell.errors import bounded

@@ -16,10 +16,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple
 
 from drivers.kuka.krl import POSE
-from drivers.program_text import MARK, Number
+from drivers.program_text import MARK, Number, Token, split
 from hilcell.ports import HilcellError
 
 _TOKEN = re.compile(
@@ -35,21 +34,6 @@ _TOKEN = re.compile(
 
 class KrlError(HilcellError):
     """KRL that cannot be read; the message states what, its reader adds where."""
-
-
-class Token(NamedTuple):
-    """``word`` is the text in capitals, as KRL compares names; ``start`` counts characters from the
-    file's begin.
-    """
-
-    kind: str
-    text: str
-    start: int
-    word: str
-
-    @property
-    def end(self) -> int:
-        return self.start + len(self.text)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,17 +78,6 @@ def statements(text: str) -> Iterator[Statement]:
             found.append(Token(kind, code, match.start(), code.upper()))
     if found:
         yield Statement(line, tuple(found))
-
-
-def split(tokens: Sequence[Token], sign: str) -> list[Sequence[Token]]:
-    """Split tokens at a sign outside of all brackets."""
-    parts, depth, begin = list[Sequence[Token]](), 0, 0
-    for n, token in enumerate(tokens):
-        depth += (token.text in "([{") - (token.text in ")]}")
-        if depth == 0 and token.text == sign:
-            parts.append(tokens[begin:n])
-            begin = n + 1
-    return [*parts, tokens[begin:]]
 
 
 def closing(tokens: Sequence[Token], at: int) -> int:

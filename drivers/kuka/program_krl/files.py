@@ -22,7 +22,6 @@ from drivers.kuka.program_krl.data import (
     Datum,
     KrlError,
     Statement,
-    Token,
     closing,
     declared,
     number,
@@ -42,7 +41,7 @@ from drivers.kuka.program_krl.flow import (
 )
 from drivers.kuka.program_krl.frames import FrameRule, assigned_at, check_modal
 from drivers.kuka.program_krl.program import DATA, Program, Target
-from drivers.program_text import source_text
+from drivers.program_text import Token, source_text
 from hilcell.cell.settings import SettingsError, unreadable
 from hilcell.compensation.programs import StatedBase, StatedTool, Stroke
 from hilcell.geometry.frames import pose_from_zyx

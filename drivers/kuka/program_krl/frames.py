@@ -25,15 +25,14 @@ from drivers.kuka.program_krl.data import (
     DataList,
     KrlError,
     Statement,
-    Token,
     aggregate,
     closing,
     pose,
     quoted,
-    split,
     text_of,
 )
 from drivers.kuka.program_krl.flow import STROKES, Flow
+from drivers.program_text import Token, split
 
 TABLES = {"base": "BASE_DATA", "tool": "TOOL_DATA"}
 NEVER_SET = ("BASE_DATA", "TOOL_DATA", "$ACT_BASE", "$ACT_TOOL", "$ROBROOT", "$WORLD", "$NULLFRAME")
