@@ -223,6 +223,17 @@ def checked_target(joints_rad: Array, speed_percent: float) -> Array:
     return target_rad
 
 
+def check_sweep(axis: int, end_rad: float, speed_rad_s: float, full_rad_s: float) -> None:
+    """Raise `DeviceError` for an impossible sweep; ``full_rad_s`` is the axis's speed at 100 %, NaN
+    for a non-existent axis.
+    """
+    slowest_rad_s = 1e-4
+    if not (np.isfinite(end_rad) and slowest_rad_s <= speed_rad_s <= full_rad_s):
+        found = f"axis {axis + 1} to {end_rad} rad at {speed_rad_s} rad/s"
+        expected = f"{slowest_rad_s} to {full_rad_s:.3f} rad/s"
+        raise ROBOT.failed("HC-B28", "sweep", found, expected=expected)
+
+
 def state_error(
     code: str, variable: str, found: str, expected: str, *, moving: bool
 ) -> DeviceError:

@@ -45,6 +45,7 @@ from drivers.supervision import (
     MotionLimits,
     Watchdog,
     check_identity,
+    check_sweep,
     checked_target,
     ignore_stop,
     joints_text,
@@ -666,7 +667,6 @@ class AbbSweep:
     changed meanwhile ends the sweep.
     """
 
-    SLOWEST_RAD_S = 1e-4
     PROGRESS_DEG = 0.002
 
     def __init__(
@@ -678,11 +678,7 @@ class AbbSweep:
         speed_rad_s: float,
         full_rad_s: float,
     ) -> None:
-        """``full_rad_s`` is the axis's speed at 100 %; NaN for a non-existent axis."""
-        if not (np.isfinite(end_rad) and self.SLOWEST_RAD_S <= speed_rad_s <= full_rad_s):
-            found = f"axis {axis + 1} to {end_rad} rad at {speed_rad_s} rad/s"
-            expected = f"{self.SLOWEST_RAD_S} to {full_rad_s:.3f} rad/s"
-            raise ROBOT.failed("HC-B28", "sweep", found, expected=expected)
+        check_sweep(axis, end_rad, speed_rad_s, full_rad_s)
         self.speed_rad_s, self.ended = speed_rad_s, False
         self._robot, self._clock = robot, clock
         self._axis, self._end_rad = axis, end_rad
