@@ -150,9 +150,7 @@ def judged_faces(
 ) -> BothFaces:
     """Judge readings (N, 3) in both faces, in the tracker's own frame."""
     seen, range_mm = half_differences_mm(front_mm, back_mm), lengths_mm(front_mm)
-    rows = axis_levers(front_mm).reshape(
-        -1, 3
-    )  # angles: noise across the beam grows with the range
+    rows = axis_levers(front_mm).reshape(-1, 3)  # angles: noise across grows with the range
     off = (seen / range_mm[:, None]).reshape(-1)
     sizes = rows.T @ off / np.maximum(np.square(rows).sum(axis=0), 1e-12)
     left = np.square(off[:, None] - rows * sizes).sum(axis=0)

@@ -102,7 +102,7 @@ class TypedDialogue(Dialogue):
     def __init__(self, lines: Queue[str | None], tell: Callable[[str], object]) -> None:
         super().__init__()
         self._lines, self._tell = lines, tell
-        self._over = False  # the input has ended
+        self.over = False  # the input has ended
 
     def say(self, text: str) -> None:
         self._tell(text)
@@ -126,32 +126,27 @@ class TypedDialogue(Dialogue):
 
     def drop_typed_ahead(self) -> None:
         """Forget what was typed before a question of which real devices move."""
-        while self.real and not self._over:
+        while self.real and not self.over:
             try:
-                self._over = self._lines.get_nowait() is None
+                self.over = self._lines.get_nowait() is None
             except Empty:
                 return
 
-    @property
-    def over(self) -> bool:
-        """Whether the input has ended."""
-        return self._over
-
     def waiting_line(self, limit_s: float) -> str | None:
         """Return a typed line, None if none comes in time or input has ended."""
-        if self._over:
+        if self.over:
             return None
         try:
             line = self._lines.get(timeout=limit_s)
         except Empty:
             return None
-        self._over = line is None
+        self.over = line is None
         return line
 
     def _line(self) -> str:
-        line = None if self._over else self._lines.get()
+        line = None if self.over else self._lines.get()
         if line is None:
-            self._over = True
+            self.over = True
             raise HilcellError(
                 "the input has ended; the same command goes on with the first unproved step",
                 code="HC-C40",

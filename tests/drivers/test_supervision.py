@@ -14,6 +14,7 @@ from drivers.supervision import (
     Deadline,
     MotionLimits,
     Watchdog,
+    check_sweep,
     checked_target,
     planned_s,
     polls,
@@ -175,3 +176,20 @@ def test_an_axis_at_rest_is_not_overdue() -> None:
     assert not motion.overdue(1000.0, 100)
     motion.stalled(at + 0.02)
     assert motion.overdue(1001.0, 100)
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("end_rad", "speed_rad_s", "full_rad_s"),
+    [(NAN, 0.01, 1.0), (0.5, NAN, 1.0), (0.5, 9e-5, 1.0), (0.5, 1.1, 1.0), (0.5, 0.01, NAN)],
+)
+def test_an_impossible_sweep_is_refused(
+    end_rad: float, speed_rad_s: float, full_rad_s: float
+) -> None:
+    error = refusal(lambda: check_sweep(2, end_rad, speed_rad_s, full_rad_s))
+    assert error.code == "HC-B28"
+    assert error.found == f"axis 3 to {end_rad} rad at {speed_rad_s} rad/s"
+    check_sweep(2, 0.5, 1e-4, 1.0)
+    check_sweep(2, 0.5, 1.0, 1.0)
