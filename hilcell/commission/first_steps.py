@@ -260,8 +260,8 @@ class WhichDevices:
     def _sources_of_volumes(self) -> None:
         rail, boxes = self._text.get("rail") is not None, ",".join(HEADER)
         floor = (
-            f"{FLOOR} (the floor up to its nests, and the tracker; nothing else is in reach, and no "
-            "stand or table under the robot)"
+            f"{FLOOR} (the floor up to its nests, and the tracker; nothing else is in reach, and "
+            "no stand or table under the robot)"
         )
         file = self._dialogue.ask(
             f"keep-out volumes: a CSV file of boxes ({boxes}; on_slide: 1 in nominal {{B}}, 0 in "
