@@ -87,9 +87,9 @@ class Work(Dialogue):
 
     def stop(self) -> bool:
         """Perform nothing more, from any thread; return whether it was at work."""
-        self.stopped = True
-        self._answers.put(None)
-        return self.at_work
+        was_at_work, self.stopped = self.at_work, True
+        self._answers.put(None)  # its thread may end at once
+        return was_at_work
 
     def answer(self, text: str) -> None:
         """Answer the question, once."""

@@ -247,6 +247,15 @@ def test_a_stop_before_the_engine_starts_is_kept() -> None:
     assert not started
 
 
+def test_the_key_that_ends_the_work_is_a_stop_also_where_the_work_ends_at_once() -> None:
+    """Else the same key would leave the page, too."""
+    work = Work(Path("hall.toml"), "", RUNS, lambda *_: str, print)
+    ends_at_once = SimpleNamespace(put=lambda _: setattr(work, "at_work", False))
+    work._answers = ends_at_once  # type: ignore[assignment]
+    assert work.stop()
+    assert not work.stop()
+
+
 @pytest.mark.parametrize(
     ("state", "keys", "asked"),
     [
