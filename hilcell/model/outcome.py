@@ -22,41 +22,36 @@ RULE = marked(
 
 class Outcome(StrEnum):
     """Outcome of a figure, point, station or run, the worst first. ``text`` and ``short`` are for
-    people, ``decision`` names the uncertainty as well, ``relation`` joins a figure and its limit.
+    people, ``decision`` names the uncertainty as well.
     """
 
     text: str
     short: str
     decision: str
-    relation: str
 
-    def __new__(
-        cls, value: str, text: str = "", short: str = "", decision: str = "", relation: str = ""
-    ) -> Self:
+    def __new__(cls, value: str, text: str = "", short: str = "", decision: str = "") -> Self:
         member = str.__new__(cls, value)
         member._value_, member.text, member.short = value, text, short
-        member.decision, member.relation = decision, relation
+        member.decision = decision
         return member
 
     REJECTED = (
         "rejected",
         marked("out of tolerance"),
         marked("fail"),
-        "out of tolerance, the uncertainty taken off",
-        "is above its limit of",
+        marked("out of tolerance, the uncertainty taken off"),
     )
     UNDECIDED = (
         "undecided",
         marked("undecided"),
-        "undecided",
-        "neither in nor out of tolerance for sure: within the uncertainty of the limit",
-        "is not shown to keep its limit of",
+        marked("undecided"),
+        marked("neither in nor out of tolerance for sure, within the uncertainty of the limit"),
     )
     ACCEPTED = (
         "accepted",
         marked("in tolerance"),
         marked("pass"),
-        "in tolerance, the uncertainty added",
+        marked("in tolerance, the uncertainty added"),
     )
 
 
@@ -95,8 +90,8 @@ class Figure(NamedTuple):
     def measured(self) -> str:
         if self.value is None:
             return f"{self.name} not known"
-        U = "" if self.U is None else f" + U {self.U:{self.form}}"
-        return f"{self.name} {self.value:{self.form}}{U} {self.unit}".rstrip()
+        U = "" if self.U is None else f" (U {self.U:{self.form}})"
+        return f"{self.name} {self.value:{self.form}} {self.unit}".rstrip() + U
 
     @property
     def text(self) -> str:
@@ -106,6 +101,16 @@ class Figure(NamedTuple):
 
     @property
     def why(self) -> str:
-        if self.limit is None:
-            return self.measured
-        return f"{self.measured} {self.outcome.relation} {self.limit:g} {self.unit}".rstrip()
+        """The figure against its limit by the rule of its outcome: U taken off, or added."""
+        if self.limit is None or self.value is None or self.outcome is Outcome.ACCEPTED:
+            return self.text
+        pairs = ((self.value, self.form), (self.limit, "g"), (self.U or 0.0, self.form))
+        value, limit, U = (f"{size:{form}} {self.unit}".rstrip() for size, form in pairs)
+        verb = "exceeds"
+        if self.outcome is Outcome.REJECTED:
+            end = f" by more than its U of {U}" if self.U else ""
+        elif self.value > self.limit:
+            end = f", but by less than its U of {U}"
+        else:
+            verb, end = "keeps", f", but not with its U of {U} added"
+        return f"{self.name} {value} {verb} {limit}{end}"

@@ -248,26 +248,21 @@ class FirstPage:
         for kind in ("recheck", "targets"):
             if kind in facts.result:
                 return str(facts.result[kind]["text"])
-        only = tr("In simulation only: ") if facts.inputs.simulated else ""
         match self.judgement():
-            case "failed check":
-                return tr("A check of this run is beyond its limit: see the verdicts.")
             case "suspected":
                 return tr(
                     "{suspected}. Correct nothing by it until that is cleared.",
                     suspected=facts.suspected,
                 )
-            case "accepted":
+            case Outcome() as outcome if outcome is not Outcome.REJECTED or self.deciding():
                 return tr(
-                    "{only}With its correction the robot keeps its limits, uncertainty added.",
-                    only=only,
+                    "{only}With its correction the robot is {decision}{deciding}.",
+                    only=tr("In simulation only: ") if facts.inputs.simulated else "",
+                    decision=tr(outcome.decision),
+                    deciding=self.deciding(),
                 )
-            case "rejected":
-                shown = tr("The robot is not shown to keep its limits, with the uncertainty added")
-                return f"{only}{shown}{self.deciding()}."
-            case "undecided":
-                shown = tr("Conformity is neither shown nor refuted")
-                return f"{only}{shown}{self.deciding()}."
+            case "failed check" | Outcome.REJECTED:
+                return tr("A check of this run is beyond its limit: see the verdicts.")
         return tr("No correction was judged against limits in this run.")
 
     def deciding(self) -> str:

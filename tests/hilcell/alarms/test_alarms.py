@@ -233,9 +233,9 @@ def test_temperature_is_judged_from_the_first_point_and_reported_once() -> None:
 @pytest.mark.parametrize(
     ("judged", "code", "why"),
     [
-        (REJECTED, "HC-V01", "mean 0.2000 + U 0.0400 mm is above its limit of 0.12 mm"),
+        (REJECTED, "HC-V01", "mean 0.2000 mm exceeds 0.12 mm by more than its U of 0.0400 mm"),
         (UNDECIDED, "HC-V17",
-         "mean 0.1000 + U 0.0400 mm is not shown to keep its limit of 0.12 mm"),
+         "mean 0.1000 mm keeps 0.12 mm, but not with its U of 0.0400 mm added"),
     ],
 )  # fmt: skip
 def test_only_what_was_rejected_is_called_out_of_tolerance(

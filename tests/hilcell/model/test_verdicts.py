@@ -184,9 +184,9 @@ def test_the_gravest_outcome_is_the_worst() -> None:
 
 def test_a_figure_says_value_uncertainty_and_limit() -> None:
     figure = Figure("mean", 0.031, "mm", 0.1, 0.0042)
-    assert figure.text == "mean 0.0310 + U 0.0042 mm, limit 0.1 mm"
+    assert figure.text == "mean 0.0310 mm (U 0.0042), limit 0.1 mm"
     assert replace(JUDGED, mean_mm=0.031).text.startswith(
-        "mean 0.0310 + U 0.0400 mm, limit 0.12 mm; largest error 0.1000 + U 0.0500 mm, limit 0.3 mm"
+        "mean 0.0310 mm (U 0.0400), limit 0.12 mm; largest error 0.1000 mm (U 0.0500), limit 0.3 mm"
     )
 
 
@@ -207,8 +207,24 @@ def test_a_characteristic_that_was_not_measured_keeps_no_limit() -> None:
     assert figure.outcome is Outcome.REJECTED
 
 
+@pytest.mark.parametrize(
+    ("value", "U", "words"),
+    [
+        (0.24, 0.04, "exceeds 0.15 mm by more than its U of 0.0400 mm"),
+        (0.24, None, "exceeds 0.15 mm"),
+        (0.17, 0.04, "exceeds 0.15 mm, but by less than its U of 0.0400 mm"),
+        (0.14, 0.04, "keeps 0.15 mm, but not with its U of 0.0400 mm added"),
+    ],
+)
+def test_a_figure_says_the_rule_by_which_it_fails(
+    value: float, U: float | None, words: str
+) -> None:
+    figure = Figure("mean", value, limit=0.15, U=U)
+    assert figure.why == f"mean {value:.4f} mm {words}"
+
+
 def test_what_decided_is_said_alone() -> None:
-    assert verdicts.REJECTED.why == "mean 0.2000 + U 0.0400 mm is above its limit of 0.12 mm"
+    assert verdicts.REJECTED.why == "mean 0.2000 mm exceeds 0.12 mm by more than its U of 0.0400 mm"
     assert JUDGED.why == JUDGED.decision
     few = replace(JUDGED, holds=False, decided=Outcome.UNDECIDED, decision="too few targets")
     assert few.why == "too few targets"

@@ -83,14 +83,28 @@ TURNED: dict[str, Any] = {
 }  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    ("more", "code", "words"),
+    [
+        ({}, 0, "is in tolerance, the uncertainty added."),
+        (TURNED, 1, "within the uncertainty of the limit: at S1100"),
+        ({"holds": False, "decided": Outcome.REJECTED, "mean_mm": 0.5}, 1,
+         "is out of tolerance, the uncertainty taken off: at S1100, mean"),
+        ({}, 1, "A check of this run is beyond its limit"),
+    ],
+)  # fmt: skip
+def test_the_sentence_has_the_rule_of_its_outcome(
+    tmp_path: Path, more: dict[str, Any], code: int, words: str
+) -> None:
+    assert words in FirstPage(judged(tmp_path / "r", code=code, **more)).sentence()
+
+
 def test_the_figure_that_decided_and_its_limit_stand_in_the_sentence(tmp_path: Path) -> None:
     undecided = FirstPage(judged(tmp_path / "r", code=1, **TURNED)).sentence()
-    assert "0.0220 + U 0.0150°" in undecided
-    assert "0.03°" in undecided
+    assert "0.0220° keeps 0.03°, but not with its U of 0.0150° added" in undecided
     both: dict[str, Any] = {"decided": Outcome.REJECTED, "max_mm": 0.4, "mean_mm": 0.1}
     rejected = FirstPage(judged(tmp_path / "s", code=1, **(TURNED | both))).sentence()
-    assert "0.4000 + U 0.0500 mm" in rejected
-    assert "0.3 mm" in rejected
+    assert "0.4000 mm exceeds 0.3 mm by more than its U of 0.0500 mm" in rejected
     assert "0.0220" not in rejected
 
 
@@ -227,13 +241,13 @@ VALIDATED = replace(
         ),
         (replace(verdicts.SIGN, limit=0.5, before_mm=1.2376, corrected_mm=0.1013, ratio=0.0818),
          ["1.238 mm", "0.101 mm", "8 %", "50 %"]),
-        (VALIDATED, ["0.0771 + U 0.0485 mm, limit 0.3 mm", "0.1497 + U 0.0522 mm, limit 1 mm"]),
+        (VALIDATED, ["0.0771 mm (U 0.0485), limit 0.3 mm", "0.1497 mm (U 0.0522), limit 1 mm"]),
         (replace(VALIDATED, decided=Outcome.UNDECIDED, decision="too few targets"),
-         ["0.0771 + U 0.0485 mm", "too few targets"]),
+         ["0.0771 mm (U 0.0485)", "too few targets"]),
         (replace(verdicts.UPDATED, drift_mm=0.0123, drift_u_mm=0.004, doubt="or a slip"),
          ["0.012 mm", "u 0.004 mm", "or a slip"]),
         (PoseTested(holds=False, ap_mm=0.5, ap_u95_mm=0.02, ap_limit_mm=0.6, rp_limit_deg=0.1),
-         ["AP 0.500 + U 0.020 mm, limit 0.6 mm", "RP not known, limit 0.1°"]),
+         ["AP 0.500 mm (U 0.020), limit 0.6 mm", "RP not known, limit 0.1°"]),
         (Oriented(holds=True, before_mean_deg=0.1, mean_deg=0.02, reflectors_moved_mm=0.01),
          ["0.1000°", "0.0200°", "0.010 mm"]),
         (replace(verdicts.BACKLASH, found_mm=0.19842, limit_mm=0.4),

@@ -129,12 +129,12 @@ REPORT, PREPARE = "report r1 -o report.html", "prepare HOLES.csv --calibration {
         ),
         (
             MADE | {"validation.S300": verdicts.REJECTED}, 1,
-            "OUT OF TOLERANCE (simulated): validation at S300: mean 0.2000 + U 0.0400 mm is above",
+            "OUT OF TOLERANCE (simulated): validation at S300: mean 0.2000 mm exceeds 0.12 mm by",
             ["explain HC-V01", REPORT],
         ),
         (
             MADE | {"validation.S300": verdicts.UNDECIDED}, 1,
-            "UNDECIDED (simulated): validation at S300: mean 0.1000 + U 0.0400 mm is not shown",
+            "UNDECIDED (simulated): validation at S300: mean 0.1000 mm keeps 0.12 mm, but not",
             ["explain HC-V17", REPORT],
         ),
         (
