@@ -505,6 +505,7 @@ class ControllerSide:
     version: str
     files: Sequence[ControllerFile]
     steps: Sequence[str]  # one paragraph each, in Markdown
+    lacks: Sequence[str] = ()  # values that a person must fill into the files, for want of options
 
 
 @runtime_checkable

@@ -36,8 +36,15 @@ def files(args: Files) -> int:
         found = f"{folder}: changed by somebody, or of another version: {', '.join(changed)}"
         raise NotWritten(f"{found}; --force replaces them, or name another folder")
     write_together(contents)
-    facts = {"driver": args.driver, "version": side.version, "files": sorted(map(str, contents))}
+    facts = {
+        "driver": args.driver,
+        "version": side.version,
+        "files": sorted(map(str, contents)),
+        "lacks": [*side.lacks],
+    }
     text = f"{folder}: {len(side.files)} files of {side.version}; the steps are in {folder / PAGE}"
+    for each in side.lacks:
+        text += f"\nto be filled in: {each} (or write the files with --cell)"
     print_answer(facts, text, as_json=args.json)
     return 0
 
