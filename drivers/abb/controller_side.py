@@ -11,7 +11,8 @@ from hilcell.decoding import typed
 from hilcell.ports import ControllerFile, ControllerSide
 
 MODULE_FILE = "hilcell.mod"
-MODULE_VERSION = 1
+MODULE_VERSION = 2
+UNFILLED = re.compile(r" *! TO BE FILLED IN: .*\n")
 DEVICE = "UCdevice"
 STEPS = """
 Needed options: Externally Guided Motion (RobotWare 6: 689-1, RobotWare 7: 3124-1), and in RobotWare
@@ -28,7 +29,7 @@ to start and stop programs and to use web services. Write its password into a fi
 read, and name it in `robot.options.password_file`, or set HILCELL_ABB_PASSWORD.
 
 Copy `hilcell.mod` to `HOME` and load it into task T_ROB1. Its tool `hc_tool` is the reflector's
-centre on the flange{reflector}; enter the load that is really there.
+centre on the flange{reflector}; enter the load that is really there.{unfilled}
 
 RobotWare 7: compare the certificate's SHA-256 fingerprint, which hilcell names, with the one that a
 browser at the controller's service port shows, and write it to `robot.options.certificate_sha256`.
@@ -44,10 +45,20 @@ def controller_side(options: Mapping[str, object]) -> ControllerSide:
     device = str(options.get("egm_device", DEVICE))
     text = (resources.files("drivers.abb") / "rapid" / MODULE_FILE).read_text("ascii")
     text = text.replace(f'"{DEVICE}"', f'"{re.sub("[^A-Za-z0-9_]", "", device)}"')
+    lacks = list[str]()
     if "smr_mm" in options:
         x, y, z = typed(options["smr_mm"], tuple[float, float, float])
         text = text.replace("[TRUE,[[0,0,0],", f"[TRUE,[[{x:.4f},{y:.4f},{z:.4f}],")
-    filled = steps(STEPS, address=address(options), device=device, reflector=reflector(options))
+        text = UNFILLED.sub("", text)
+    else:
+        lacks.append("place of hc_tool in hilcell.mod, which is robot.smr_mm of the cell file")
+    filled = steps(
+        STEPS,
+        address=address(options),
+        device=device,
+        reflector=reflector(options),
+        unfilled=" **Not filled in without a cell:** " + lacks[0] + "." if lacks else "",
+    )
     module = ControllerFile(MODULE_FILE, "HOME", text.encode("ascii"))
     version = f"hilcell.mod {MODULE_VERSION}"
-    return ControllerSide("ABB controller by EGM", version, [module], filled)
+    return ControllerSide("ABB controller by EGM", version, [module], filled, lacks)

@@ -22,7 +22,7 @@ import numpy as np
 
 from drivers.device_errors import ROBOT, ProtocolError
 from drivers.supervision import Deadline
-from hilcell.ports import Array, DeviceError
+from hilcell.ports import Array
 
 VARINT, FIXED64, BYTES, FIXED32 = 0, 1, 2, 5
 DATA, MOTORS_ON, RUNNING = 2, 1, 2
@@ -167,30 +167,35 @@ class PositionStream:
         """Return the newest sample since the last call; raises `DeviceError` where none comes."""
         return self.following()[-1]
 
-    def fresh(self) -> Sample:
-        """Return a sample that arrived after the call began."""
+    def fresh(self, silent_s: float | None = None) -> Sample:
+        """Return a sample that arrived after the call began, waiting ``silent_s`` at most."""
         for _ in self._datagrams():
             pass
-        return self.newest()
+        return self.following(silent_s)[-1]
 
-    def following(self) -> list[Sample]:
+    def some(self, count: int) -> list[Sample]:
+        """Return at least so many samples that follow."""
+        found = list[Sample]()
+        while len(found) < count:
+            found += self.following()
+        return found
+
+    def following(self, silent_s: float | None = None) -> list[Sample]:
         """Return the samples that have arrived since the last call, at least one."""
-        deadline = Deadline(self.SILENT_S)
+        limit_s = self.SILENT_S if silent_s is None else silent_s
+        deadline = Deadline(limit_s)
         while True:
             self._check()
             if found := list(self._datagrams()):
                 return found
             if deadline.expired():
-                raise self.silent()
+                raise ROBOT.failed(
+                    "HC-B85",
+                    "read",
+                    f"no position on UDP port {self.port} for {limit_s:g} s",
+                    expected="one in 4 ms",
+                )
             select.select([self._socket], [], [], self.POLL_S)
-
-    def silent(self) -> DeviceError:
-        return ROBOT.failed(
-            "HC-B85",
-            "read",
-            f"no position on UDP port {self.port} for {self.SILENT_S:g} s",
-            expected="one in 4 ms",
-        )
 
     def _datagrams(self) -> Iterator[Sample]:
         """Yield the samples that wait; those that are doubled or late are left out."""

@@ -7,6 +7,7 @@ Joint limits are system parameters of the topic Motion, type Arm: ``lower_joint_
 from __future__ import annotations
 
 import os
+import re
 import socket
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -15,10 +16,11 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.abb.http_channel import Login, Trust
+from drivers.abb.controller_side import MODULE_VERSION
+from drivers.abb.http_channel import PORTS, Login, Trust
 from drivers.abb.web_services import WebServices
 from drivers.device_errors import ROBOT
-from drivers.supervision import ignore_stop
+from drivers.supervision import check_identity, ignore_stop
 from hilcell.decoding import typed
 from hilcell.geometry.frames import matrix
 from hilcell.ports import (
@@ -34,7 +36,6 @@ from hilcell.sanitize import clean
 
 PASSWORD = "HILCELL_ABB_PASSWORD"  # environment variable
 USER, USUAL_PASSWORD = "Default User", "robotics"  # of the maker
-PORTS = {1: 80, 2: 443}
 EGM = "Externally Guided Motion"
 
 
@@ -88,6 +89,27 @@ def identity_of(services: WebServices) -> Identity:
     )
 
 
+def check_type(identity: Identity, model: str, serial: str, name: str) -> str:
+    """Return the robot's type; refuses another robot than the options' and than the cell file's.
+
+    ``name`` is `robot.name`: it is compared where it begins with ``model``, so that it states a
+    type; in letters and digits alone, as makers write types differently.
+    """
+    check_identity(identity.model, model, identity.serial, serial)
+    stated, own, begin = (
+        re.sub("[^a-z0-9]", "", each.casefold()) for each in (identity.model, name, model)
+    )
+    if begin and own.startswith(begin) and own not in stated:
+        raise ROBOT.refused(
+            "HC-B05",
+            "connect",
+            f"model {identity.model!r}",
+            expected=f"{name!r}, which is robot.name of the cell file",
+            model=identity.model,
+        )
+    return identity.model
+
+
 def candidate(known: Mapping[str, object]) -> list[Candidate]:
     """Return the controller at ``known["host"]``, with why it cannot be used as its title."""
     host = known.get("host")
@@ -135,27 +157,56 @@ def tool(services: WebServices) -> Array | None:
         return None
 
 
-def abilities(services: WebServices, device: str) -> list[Ability]:
-    """Return the table of all that the driver needs."""
+def abilities(
+    services: WebServices, device: str, check_robot: Callable[[Identity], str]
+) -> list[Ability]:
+    """Return the table of all that the driver needs; ``check_robot`` refuses another robot."""
     identity = identity_of(services)
 
-    def tried(feature: str, ask: Callable[[], object]) -> Ability:
+    def tried(
+        feature: str,
+        ask: Callable[[], object],
+        needed: Literal["mandatory", "optional"] = "mandatory",
+    ) -> Ability:
         try:
-            note = str(ask())
+            return Ability(ROBOT.name, feature, "has", needed, str(ask()))
         except DeviceError as error:
-            return Ability(ROBOT.name, feature, "has not", "mandatory", error.found)
-        return Ability(ROBOT.name, feature, "has", "mandatory", note)
+            note = f"{error.found}; expected {error.expected}" if error.expected else error.found
+            return Ability(ROBOT.name, feature, "has not", needed, note)
 
     rows = [
         Ability(ROBOT.name, "RobotWare", "has", "mandatory", identity.firmware),
+        tried("robot type", lambda: check_robot(identity)),
         tried(f"option {EGM}", lambda: check_options(services)),
         tried(f"UDP unicast device {device}", lambda: f"to port {stream_port(services, device)}"),
-        tried("module hilcell", lambda: f"version {services.symbol('hc_version')}"),
-        tried("event log", lambda: services.last_error()[1] or "no error"),
+        tried("module hilcell", lambda: check_module(services, device)),
+        tried("event log", lambda: services.last_error()[1] or "no error", "optional"),
     ]
     limits = joint_limits(services)
     state: Literal["has", "has not"] = "has" if limits is not None else "has not"
     return [*rows, Ability(ROBOT.name, "joint limits", state, "optional")]
+
+
+def check_module(services: WebServices, device: str) -> str:
+    """Return the module's version; refuses another one, or one that streams to another device."""
+    found = services.symbol_numbers("hc_version")
+    if found != [float(MODULE_VERSION)]:
+        raise ROBOT.refused(
+            "HC-B17",
+            "connect",
+            f"hilcell.mod has version {found}",
+            expected=str(MODULE_VERSION),
+        )
+    stated = services.symbol("hc_device").strip('"')
+    if stated != device:
+        raise ROBOT.refused(
+            "HC-B85",
+            "connect",
+            f"hilcell.mod streams to UDP unicast device {stated}",
+            expected=f"{device}, which is robot.options.egm_device",
+            act="correct the option, or write and load the module again by `hilcell files`",
+        )
+    return f"version {MODULE_VERSION}"
 
 
 def rotation(quaternion: Sequence[float]) -> Array:
@@ -196,12 +247,29 @@ def absolute_accuracy(services: WebServices) -> bool:
     return services.value("/rw/motionsystem", "absacc-active").upper() in ("ON", "TRUE", "1")
 
 
+def own_address(host: str) -> str:
+    """Return this PC's address towards a host; sends nothing."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as towards:
+        towards.connect((host, 9))  # of a UDP socket: sets its ends alone
+        address: str = towards.getsockname()[0]
+        return address
+
+
 def stream_port(services: WebServices, device: str) -> int:
     """Return the PC's UDP port that the controller streams to, by its system parameters.
 
-    Refuses a remote address that is not this PC's.
+    Refuses a device that does not exist, and a remote address that is not this PC's.
     """
     kind = "COM_TRP" if services.generation == 1 else "UDPUC_HOST"
+    names = services.instances(f"/rw/cfg/SIO/{kind}/instances")
+    if device not in names:
+        raise ROBOT.refused(
+            "HC-B85",
+            "connect",
+            f"the UDP unicast devices of the controller are {', '.join(names) or 'none'}",
+            expected=f"{device}, which is robot.options.egm_device",
+            act="correct the option, or create the device and restart the controller",
+        )
     found = services.attributes(f"/rw/cfg/SIO/{kind}/instances/{device}")
     host = next((v for name, v in found.items() if name.startswith("RemoteAd")), "")
     port = next((v for name, v in found.items() if name.startswith("RemotePort")), "")
@@ -220,7 +288,7 @@ def stream_port(services: WebServices, device: str) -> int:
                 "HC-B85",
                 "connect",
                 f"UDP unicast device {device} streams to {host!r}",
-                expected="an address of this PC",
+                expected=f"{own_address(services.host)}, the address of this PC",
                 act="correct the remote address in the system parameters, or robot.options."
                 "egm_device, and restart the controller",
             ) from None

@@ -27,7 +27,9 @@ from hilcell.sanitize import clean
 
 RECEIVE = 65536
 LONGEST_HEAD, LONGEST_BODY = 16_384, 8_000_000
-UNAUTHORIZED, NO_CONTENT, NOT_MODIFIED = 401, 204, 304
+UNAUTHORIZED, NO_CONTENT, NOT_MODIFIED, BAD_REQUEST, NOT_ACCEPTABLE = 401, 204, 304, 400, 406
+TLS_ALERT = b"\x15\x03"  # RFC 8446, 5.1
+PORTS = {1: 80, 2: 443}
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +56,18 @@ class Answer:
     status: int
     headers: Mapping[str, str]
     body: bytes
+
+
+def other_generation(address: str, signs: str, other: int) -> DeviceError:
+    """Return the error of a controller that speaks the ``other`` generation of web services."""
+    return ROBOT.refused(
+        "HC-B88",
+        "connect",
+        f"{address}: {signs}, as web services {other} do",
+        expected=f"web services {3 - other}, by robot.options.web_services",
+        act=f"set robot.options.web_services = {other} and robot.options.port = {PORTS[other]}; "
+        f"where web services {3 - other} are right, the port is {PORTS[3 - other]}",
+    )
 
 
 class TlsLink(Link):
@@ -106,7 +120,7 @@ class TlsLink(Link):
                 raise self.broken("receive", str(error)) from error
 
     def _shake_hands(self) -> None:
-        deadline = Deadline(self.HANDSHAKE_S)
+        deadline, piece = Deadline(self.HANDSHAKE_S), b""
         while True:
             try:
                 self._tls.do_handshake()
@@ -120,6 +134,8 @@ class TlsLink(Link):
                 found = f"{self.address}: {error.verify_message}"
                 raise self._untrusted(found, "a certificate of robot.options.ca_file") from error
             except ssl.SSLError as error:
+                if piece.startswith(b"HTTP/"):
+                    raise other_generation(self.address, "it answers without TLS", 1) from error
                 raise self.broken("connect", str(error)) from error
             else:
                 self._flush()
@@ -211,6 +227,9 @@ class HttpChannel:
         """
         operation = f"{method} {path.partition('?')[0]}"
         answer = self._exchange(method, path, body, kind, operation)
+        if signs := self._foreign(answer):
+            other = 2 if self._trust is None else 1
+            raise other_generation(self.address, f"{operation} has the answer {signs}", other)
         if answer.status == UNAUTHORIZED and self._trust is None:
             try:
                 self._digest = Digest(answer.headers.get("www-authenticate", ""), self._login)
@@ -225,6 +244,19 @@ class HttpChannel:
                 expected="a user of the controller's authorization system",
             )
         return answer
+
+    def _foreign(self, answer: Answer) -> str:
+        """Return the signs by which an answer is of the other generation, or ""."""
+        login = answer.headers.get("www-authenticate", "").partition(" ")[0].casefold()
+        status = answer.status
+        if status == UNAUTHORIZED and login == ("basic" if self._trust is None else "digest"):
+            return f"{status} with {login} login"
+        to = answer.headers.get("location", "")
+        if self._trust is None and 300 <= status < 400 and to.startswith("https:"):
+            return f"{status} to {clean(to)[:60]}"
+        if self._trust is None and status == BAD_REQUEST and b"HTTPS" in answer.body:
+            return f"{status}, which asks for HTTPS"
+        return f"{status}" if status == NOT_ACCEPTABLE else ""
 
     def send(self, method: str, path: str, body: bytes, kind: str) -> None:
         """Send a request whose answer is not awaited; callable from any thread."""
@@ -350,6 +382,8 @@ class HttpChannel:
             started = f"; {len(self._received)} bytes of one came" if self._received else ""
             raise self._link.broken(operation, f"no answer within {self.ANSWER_S:.1f} s{started}")
         self._received += piece
+        if self._trust is None and self._received.startswith(TLS_ALERT):
+            raise other_generation(self.address, f"{operation} has an answer in TLS", 2)
 
     def _unusable(self, operation: str, found: str) -> DeviceError:
         self._dead = found

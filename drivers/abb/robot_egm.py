@@ -17,6 +17,7 @@ import secrets
 import socket
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Literal, Self
 
@@ -24,13 +25,15 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from drivers.abb.controller_side import DEVICE, MODULE_VERSION, controller_side
+from drivers.abb.controller_side import DEVICE, controller_side
 from drivers.abb.egm import PositionStream, Sample
 from drivers.abb.first_contact import (
     abilities,
     absolute_accuracy,
     candidate,
+    check_module,
     check_options,
+    check_type,
     controller_settings,
     identity_of,
     login_of,
@@ -44,7 +47,6 @@ from drivers.device_errors import ROBOT
 from drivers.supervision import (
     MotionLimits,
     Watchdog,
-    check_identity,
     check_sweep,
     checked_target,
     ignore_stop,
@@ -64,6 +66,7 @@ from hilcell.ports import (
     Clock,
     ControllerSide,
     DeviceError,
+    DeviceRefused,
     Identity,
     JointSample,
     RobotReading,
@@ -104,6 +107,8 @@ class AbbEgmRobot:
     STARTED_S = 5.0  # wire deadline: from the start of the program to its state
     ANSWERED_S = 2.0  # wire deadline: the module sees a sign of life
     RELEASE_S = 5.0  # wire deadline: from a stop to a robot at rest
+    ENDS_S = 0.5  # in which the module ends by itself and gives its identity of EGM back
+    LISTENED = 25  # datagrams at connect, in which a second controller would show
     POLL_S = 0.1  # between two looks at a motion
     PANEL_S = 1.0  # real time between two looks at the panel
     AXIS_TOLERANCE_RAD = 2e-4
@@ -116,8 +121,9 @@ class AbbEgmRobot:
     class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """Address and expected identity of the controller, and who logs in.
 
-        ``serial`` is the controller's id. The password is in ``password_file``, else in the
-        environment variable HILCELL_ABB_PASSWORD, else the maker's usual one.
+        ``name`` is handed over from `[robot]`. ``serial`` is the controller's id. The password is
+        in ``password_file``, else in the environment variable HILCELL_ABB_PASSWORD, else the
+        maker's usual one.
         ``certificate_sha256`` or ``ca_file`` are needed for web services 2 (https).
         """
 
@@ -127,6 +133,7 @@ class AbbEgmRobot:
         port: Port = 80
         web_services: Literal[1, 2] = 1
         model: str = "IRB 6700"
+        name: str = ""
         serial: str = ""
         user: Annotated[str, Meta(min_length=1)] = "Default User"
         password_file: str = ""
@@ -164,7 +171,7 @@ class AbbEgmRobot:
             check_options(services)
             self.check_panel(moving=False)
             port = stream_port(services, self._options.egm_device)
-            self._check_module(services)
+            check_module(services, self._options.egm_device)
             self._absolute = absolute_accuracy(services)
             self._end_former_program(services)
             self._stream = PositionStream(port, self._check_wait)
@@ -188,9 +195,11 @@ class AbbEgmRobot:
 
     def read(self) -> RobotReading:
         asked_s = self._clock.pc_s()
+        if self._stopped:
+            return self._read_stopped(asked_s)
         samples, pose, state = self._dwell()
         still = not self._moving and state.begun == state.done and at_rest(samples)
-        return self._reading(samples[-1], pose, asked_s, still=still)
+        return self._reading(samples[-1].joints_rad, pose, asked_s, still=still)
 
     def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> AbbSweep:
         full_rad_s = float(np.radians(self._speed_deg_s[axis])) if 0 <= axis < 6 else np.nan
@@ -208,6 +217,8 @@ class AbbEgmRobot:
     def close(self) -> None:
         """End the program, so that data moves nothing any more, and leave the session.
 
+        At rest the module is asked to end by itself; where it does not, it is stopped.
+
         Raises `DeviceError` where a program was started, and its end or rest is not confirmed.
         """
         try:
@@ -223,7 +234,7 @@ class AbbEgmRobot:
     def inspect(self) -> list[Ability]:
         options = self._options
         with opened(msgspec.to_builtins(options)) as services:
-            return abilities(services, options.egm_device)
+            return abilities(services, options.egm_device, self._check_robot)
 
     def settings(self) -> RobotSettings:
         with opened(msgspec.to_builtins(self._options)) as services:
@@ -252,10 +263,13 @@ class AbbEgmRobot:
         self._stop_line.operation_mode()
 
     def _identify(self, services: WebServices) -> Identity:
-        options = self._options
         identity = identity_of(services)
-        check_identity(identity.model, options.model, identity.serial, options.serial)
+        self._check_robot(identity)
         return identity
+
+    def _check_robot(self, identity: Identity) -> str:
+        options = self._options
+        return check_type(identity, options.model, options.serial, options.name)
 
     def check_panel(self, *, moving: bool) -> None:
         """Raise `DeviceError` where the controller's state forbids to move."""
@@ -279,15 +293,6 @@ class AbbEgmRobot:
         if ratio != 100.0:  # NaN, too
             found = f"{ratio:g} %"
             raise state_error("HC-B84", "the speed ratio", found, "100 %", moving=False)
-
-    @staticmethod
-    def _check_module(services: WebServices) -> None:
-        found = services.symbol_numbers("hc_version")
-        if found != [float(MODULE_VERSION)]:
-            expected = str(MODULE_VERSION)
-            raise ROBOT.refused(
-                "HC-B17", "connect", f"hilcell.mod has version {found}", expected=expected
-            )
 
     def _end_former_program(self, services: WebServices) -> None:
         """Stop a program of ours that a dead engine left behind; refuse any other one."""
@@ -330,7 +335,8 @@ class AbbEgmRobot:
 
     def _check_stream(self, services: WebServices) -> None:
         """Refuse positions of another robot or from another address than the controller's."""
-        stream, sample = self.stream(), self.stream().fresh()
+        stream = self.stream()
+        sample, _ = stream.fresh(self.STARTED_S), stream.some(self.LISTENED)
         try:
             address = socket.gethostbyname(self._options.host)
         except OSError:
@@ -461,7 +467,7 @@ class AbbEgmRobot:
                 self._check_tool()
                 self._moving, self.rest_rad = False, target_rad
                 self._ended_s = asked_s
-                return self._reading(last, pose, asked_s, still=True)
+                return self._reading(last.joints_rad, pose, asked_s, still=True)
         target_deg, axes_deg = np.degrees(target_rad), np.degrees(last.joints_rad)
         tolerance = f"{joints_text(target_deg)} +-{np.degrees(self.AXIS_TOLERANCE_RAD):.3f}"
         raise not_at_target(joints_text(axes_deg), tolerance, axes_deg, target_deg)
@@ -474,24 +480,38 @@ class AbbEgmRobot:
         services = self.services()
         samples = [self.fresh_position()]
         self._clock.wait(DWELL_S)
-        x, y, z, *quaternion = services.numbers(
-            f"{UNITS}/robtarget?tool=hc_tool&wobj=wobj0&coordinate=Base", *ROBTARGET
-        )
+        pose = self._pose(services)
         samples += self.positions()
         state = self._ask_module(services)
         self._check_session(state)
         samples += self.positions()
-        pose = matrix(rotation(quaternion), np.array([x, y, z]))
+        began_s, ended_s = samples[0].device_s, samples[-1].device_s
+        if not ended_s > began_s:
+            raise ROBOT.failed(
+                "HC-B26",
+                "read",
+                f"the controller's time went from {began_s:.3f} to {ended_s:.3f} s in "
+                f"{len(samples)} positions",
+                expected=f"a time that goes on, in a dwell of {DWELL_S:g} s",
+                act="restart the controller",
+            )
         return samples, pose, state
 
-    def _reading(self, sample: Sample, pose: Array, asked_s: float, *, still: bool) -> RobotReading:
+    def _read_stopped(self, asked_s: float) -> RobotReading:
+        """Return a reading by the web services: a stop ends the program, with it the stream."""
+        services = self.services()
+        before_deg = self._joints_deg(services)
+        self._clock.wait(DWELL_S)
+        pose, now_deg = self._pose(services), self._joints_deg(services)
+        spread_rad = np.radians(np.abs(now_deg - before_deg))
+        still = not services.program_runs() and bool(np.all(spread_rad <= STILL_RAD))
+        return self._reading(np.radians(now_deg), pose, asked_s, still=still)
+
+    def _reading(
+        self, joints_rad: Array, pose: Array, asked_s: float, *, still: bool
+    ) -> RobotReading:
         return RobotReading(
-            sample.joints_rad,
-            pose,
-            still,
-            asked_s,
-            self._ended_s,
-            by_factory_links=self._absolute,
+            joints_rad, pose, still, asked_s, self._ended_s, by_factory_links=self._absolute
         )
 
     # -- the module ---------------------------------------------------------------------------
@@ -539,10 +559,14 @@ class AbbEgmRobot:
         )
 
     def _program_ended(self, found: str) -> DeviceError:
-        """Return the error of a module that does not run; the panel and the log come first."""
+        """Return the error of a module that does not run; panel, log and mastership come first."""
         try:
             self.check_panel(moving=self._moving)
-            found += self._event(self.services())
+            services = self.services()
+            found += self._event(services)
+            if holder := services.holder():
+                found += f"; mastership is held by: {holder}"
+                return ROBOT.failed("HC-B83", "move", found, expected="mastership")
         except DeviceError as error:
             if error.code in PANEL:
                 return error
@@ -599,6 +623,14 @@ class AbbEgmRobot:
         self._moving, self.rest_rad = False, np.radians(now_deg)
 
     @staticmethod
+    def _pose(services: WebServices) -> Array:
+        """Return the frame (4, 4) of hc_tool in {B}."""
+        x, y, z, *quaternion = services.numbers(
+            f"{UNITS}/robtarget?tool=hc_tool&wobj=wobj0&coordinate=Base", *ROBTARGET
+        )
+        return matrix(rotation(quaternion), np.array([x, y, z]))
+
+    @staticmethod
     def _joints_deg(services: WebServices) -> Array:
         names = [f"rax_{axis}" for axis in range(1, 7)]
         return np.array(services.numbers(f"{UNITS}/jointtarget", *names))
@@ -609,9 +641,14 @@ class AbbEgmRobot:
         """Return when the program has ended and the joints rest; raises `DeviceError`."""
         try:
             line = ROBOT.connected(self._stop_line)
+            ends_s = time.monotonic()  # from now on the program is stopped, if it still runs
+            if not self._moving:
+                with suppress(DeviceRefused):  # mastership is another's
+                    line.set_symbol("hc_session", "0")
+                    ends_s += self.ENDS_S
             before_deg, runs, still = self._joints_deg(line), True, False
             for _ in polls(self.RELEASE_S, STEP_S):
-                if runs:
+                if runs and time.monotonic() >= ends_s:
                     line.stop()
                 time.sleep(DWELL_S)
                 now_deg, runs = self._joints_deg(line), line.program_runs()
@@ -742,5 +779,4 @@ class AbbSweep:
 def at_rest(samples: Sequence[Sample]) -> bool:
     """Whether no joint moves, by the spread of the measured joints."""
     joints_rad = np.array([sample.joints_rad for sample in samples])
-    later = samples[-1].device_s > samples[0].device_s
-    return later and bool(np.all(np.ptp(joints_rad, axis=0) <= STILL_RAD))
+    return bool(np.all(np.ptp(joints_rad, axis=0) <= STILL_RAD))

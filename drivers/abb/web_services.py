@@ -21,7 +21,7 @@ from urllib.parse import quote, urlencode
 
 import msgspec
 
-from drivers.abb.http_channel import Answer, HttpChannel, Login, Trust
+from drivers.abb.http_channel import Answer, HttpChannel, Login, Trust, other_generation
 from drivers.device_errors import ROBOT
 from drivers.supervision import polls
 from hilcell.ports import DeviceError
@@ -61,7 +61,7 @@ class WebServices:
         login: Login,
         check: Callable[[], None],
     ) -> None:
-        self.generation, self._check = generation, check
+        self.generation, self.host, self._check = generation, host, check
         self._channel = HttpChannel(
             host, port, trust if generation > 1 else None, login, HEADERS[generation], check
         )
@@ -76,7 +76,7 @@ class WebServices:
         """Return the objects of a resource, with the values that are text."""
         answer = self._ask("GET", path)
         try:
-            return list(_objects(msgspec.json.decode(answer.body)))
+            return list(_objects(decoded(answer.body)))
         except (msgspec.DecodeError, RecursionError) as error:
             raise self._invalid(path, f"no JSON: {answer.body[:60]!r}") from error
 
@@ -143,6 +143,12 @@ class WebServices:
             for state in self.states(path)
             if {"_title", "value"} <= set(state)
         }
+
+    def instances(self, path: str) -> list[str]:
+        """Return the names of the instances of a type of system parameters."""
+        kind = "cfg-dt-instance"
+        states = self.states(path)
+        return [clean(s["_title"]) for s in states if s.get("_type", "").startswith(kind)]
 
     # -- writing ------------------------------------------------------------------------------
 
@@ -244,18 +250,19 @@ class WebServices:
             act = "end other clients of the controller's web services; a session ends after minutes"
             return ROBOT.failed("HC-B87", "use", found, expected="a free session", act=act)
         if answer.status == FORBIDDEN:
-            if holder := self._holder():
+            if holder := self.holder():
                 found += f"; mastership is held by: {holder}"
                 return ROBOT.refused("HC-B83", "write", found, expected="mastership")
             return ROBOT.failed("HC-B03", "use", found, expected="200 or 204")
+        if answer.status == NOT_FOUND and "/rw/panel/" in operation:
+            signs = f"{operation} has the answer {answer.status}"
+            return other_generation(self.address, signs, 3 - self.generation)
         if answer.status == NOT_FOUND and "/symbol" in operation:
             expected = f"module {MODULE} in task {TASK}"
             return ROBOT.refused("HC-B86", "use", found, expected=expected)
-        if answer.status == NOT_FOUND and "/cfg/SIO" in operation:
-            return ROBOT.refused("HC-B85", "use", found, expected="this UDP unicast device")
         return ROBOT.failed("HC-B03", "use", found, expected="200 or 204")
 
-    def _holder(self) -> str:
+    def holder(self) -> str:
         """Return who has the mastership, as the controller states it; "" for nobody."""
         names = ("mastership", "application", "location", "alias", "uid")
         try:
@@ -271,6 +278,14 @@ class WebServices:
     def _invalid(self, path: str, found: str) -> DeviceError:
         where = f"{self.address}{path.partition('?')[0]}"
         return ROBOT.failed("HC-B26", "read", f"{where}: {found}", expected="the resource's values")
+
+
+def decoded(body: bytes) -> Any:
+    """Return JSON; RobotWare 7.20 writes arguments of events as ``-01``, which is none."""
+    try:
+        return msgspec.json.decode(body)
+    except msgspec.DecodeError:
+        return msgspec.json.decode(re.sub(rb"(:\s*-?)0+(?=\d)", rb"\1", body))
 
 
 def _objects(value: Any, depth: int = 0) -> Iterator[State]:

@@ -16,7 +16,8 @@ from fakes.truth.machine import controller_arm
 from fakes.truth.noise import readout_noise
 from fakes.truth.transforms import Array
 
-VERSION = 1
+VERSION, DEVICE = 2, "UCdevice"
+STATE, ERROR = 1, 3  # types of events
 LOST, BRAKED = 8, 9
 NUMBERS = ("hc_session", "hc_life", "hc_order", "hc_brake", "hc_seconds")
 
@@ -43,7 +44,7 @@ class AbbController:
         self._arm = controller_arm(cell)
         self._full_rad_s = np.radians([joint.speed_deg_s for joint in cell.robot.joint])
         self.tool_mm, self.limits_deg = self._arm.tool_mm, self._arm.limits_deg
-        self.version = self._arm.program or VERSION
+        self.version, self.streams_to = self._arm.program or VERSION, DEVICE
         self.options = ["RobotWare Base", "616-1 PC Interface", "689-1 Externally Guided Motion"]
         self.loaded, self.absolute = True, False
         self.kind = "Real Controller"
@@ -93,9 +94,10 @@ class AbbController:
             strikes = self._faults.strikes
             if strikes("robot.mode_t1"):
                 self.mode = "MANR"
-                self._stop_program(10015, "Manual mode selected")
-            if strikes("robot.deselected"):
-                self._stop_program(10125, "Program stopped")
+                self._stop_program(10015, "Manual mode selected", STATE)
+            if strikes("robot.deselected"):  # a person at the pendant moves the program pointer
+                self.pendant_has_mastership = True
+                self._stop_program(10125, "Program stopped", STATE)
             if strikes("robot.restarted"):
                 self._end_program()
                 self.panel, self._state = "init", [0] * 6
@@ -114,6 +116,8 @@ class AbbController:
                 return f"{self.numbers[name]:g}"
             if name == "hc_version":
                 return str(self.version)
+            if name == "hc_device":
+                return f'"{self.streams_to}"'
             if name == "hc_target":
                 joints = ",".join(f"{each:.6g}" for each in self._target_deg)
                 return f"[[{joints}],[9E+09,9E+09,9E+09,9E+09,9E+09,9E+09]]"
@@ -206,7 +210,7 @@ class AbbController:
             raise Vanished
         if strikes("robot.e_stop"):
             self.panel = "emergencystop"
-            self._stop_program(10013, "Emergency stop state")
+            self._stop_program(10013, "Emergency stop state", STATE)
         if strikes("robot.stopmess"):
             self._stop_program(50204, "Motion supervision")
         if strikes("robot.override_zero"):
@@ -220,6 +224,8 @@ class AbbController:
         if name == "hc_life":
             self._state[2] = int(self.numbers["hc_life"])
             self._timer.set_ms(-self.LIFE_MS)
+        elif name == "hc_session" and not self._in_motion:
+            self._end_program()
         elif name == "hc_brake" and self._in_motion and self.numbers[name] == self._state[5]:
             self._brake(BRAKED)
         self._run()
@@ -269,8 +275,8 @@ class AbbController:
         self._acknowledge_lost = self._frozen = False
         self._acknowledge(why)
 
-    def _stop_program(self, code: int, title: str) -> None:
-        self.log.append((3, code, title))
+    def _stop_program(self, code: int, title: str, kind: int = ERROR) -> None:
+        self.log.append((kind, code, title))
         self._end_program()
 
     def _end_program(self) -> None:

@@ -26,14 +26,16 @@ from urllib.parse import parse_qs, unquote
 
 import numpy as np
 
-from fakes.abb.controller import AbbController, RapidError
+from fakes.abb.controller import DEVICE, AbbController, RapidError
 from fakes.site import Site
 from fakes.truth.transforms import Array
 from fakes.wires import HOST, RECEIVE, Answers, Listener, Segments, Server
 
 USER, PASSWORD, REALM = "Default User", "robotics", "validusers@robapi.abb"
 CERTIFICATE = "simulated.pem"
+NOT_TLS = b"HTTP/1.1 400 Bad Request\r\nContent-Length: 22\r\n\r\nsent to the HTTPS port"
 SYMBOL_FAULT = -1073414146
+MINUS_01 = "-01"  # a number as RobotWare 7.20 writes it in events, which is no JSON
 
 
 class Request(NamedTuple):
@@ -78,6 +80,8 @@ class TlsClient:
             except ssl.SSLWantReadError:
                 self._flush()
             except ssl.SSLError as error:
+                if error.reason == "HTTP_REQUEST":
+                    self._client.sendall(NOT_TLS)
                 self._flush()
                 raise OSError("TLS") from error
             data = self._client.recv(RECEIVE)
@@ -230,20 +234,21 @@ class Resources:
         if path == "/rw/elog/0":
             entries = [
                 _item("elog-message-li", msgtype=str(kind), code=str(code), title=title)
-                | {"_title": f"/rw/elog/0/{place}"}
+                | {"_title": f"/rw/elog/0/{place}", "argv": [{"type": "long", "value": MINUS_01}]}
                 for place, (kind, code, title) in enumerate(controller.log, start=1)
             ]
             return entries[::-1]
         if arm := re.fullmatch(r"/rw/cfg/MOC/ARM/instances/rob1_([1-6])", path):
             low, high = np.radians(controller.limits_deg[int(arm[1]) - 1])
             bounds = {"lower_joint_bound": f"{low:.6g}", "upper_joint_bound": f"{high:.6g}"}
-            return [_instance(bounds)]
+            return [_instance(f"rob1_{arm[1]}", bounds)]
         kind = "COM_TRP" if self._generation == 1 else "UDPUC_HOST"
-        if path == f"/rw/cfg/SIO/{kind}/instances/UCdevice":
+        instances = f"/rw/cfg/SIO/{kind}/instances"
+        if path in (instances, f"{instances}/{DEVICE}"):
             spelt = "RemoteAdress" if self._generation == 1 else "RemoteAddress"
-            values = {"Name": "UCdevice", spelt: self.stream_host}
+            values = {"Name": DEVICE, "Type": "UDPUC", spelt: self.stream_host}
             values["RemotePortNumber"] = str(self.stream_port)
-            return [_instance(values)]
+            return [_instance(DEVICE, values)]
         return None
 
     def _position(self, what: str) -> list[dict[str, Any]] | None:
@@ -326,12 +331,12 @@ class Resources:
         return {"mastership": "nomaster"}
 
 
-def _instance(values: dict[str, str]) -> dict[str, Any]:
+def _instance(name: str, values: dict[str, str]) -> dict[str, Any]:
     """Return an instance of system parameters."""
     attributes = [
         {"_type": "cfg-ia-t-li", "_title": name, "value": value} for name, value in values.items()
     ]
-    return _item("cfg-dt-instance", attrib=attributes)
+    return _item("cfg-dt-instance", attrib=attributes) | {"_title": name}
 
 
 def _item(kind: str, **values: Any) -> dict[str, Any]:
@@ -389,7 +394,7 @@ class WebSession:
         """Send an answer; return whether the connection stays open."""
         body = b""
         if reply.states is not None and reply.status != 204:
-            body = json.dumps(self._document(reply)).encode()
+            body = json.dumps(self._document(reply)).replace(f'"{MINUS_01}"', MINUS_01).encode()
         elif reply.status >= 400:
             body = b"<html><body>error</body></html>"
         reasons = {200: "OK", 204: "No Content", 401: "Unauthorized", 403: "Forbidden"}
@@ -420,6 +425,8 @@ class WebSession:
     def _request(self) -> Request | None:
         head = self._until(b"\r\n\r\n")
         if head is None:
+            if self._pending.startswith(b"\x16\x03"):  # TLS to a server without it
+                self._client.sendall(b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n")
             return None
         first, *lines = head.decode("latin-1").split("\r\n")
         method, _, rest = first.partition(" ")
@@ -442,9 +449,10 @@ class WebSession:
     def _until(self, end: bytes) -> bytes | None:
         while end not in self._pending:
             data = self._client.recv(RECEIVE)
-            if not data or len(self._pending) > self.LONGEST:
-                return None
             self._pending += data
+            foreign = self._pending.startswith(b"\x16\x03")
+            if not data or foreign or len(self._pending) > self.LONGEST:
+                return None
         found, _, self._pending = self._pending.partition(end)
         return found
 

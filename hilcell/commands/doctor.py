@@ -43,7 +43,7 @@ from hilcell.commands.signatures import Doctor
 from hilcell.errors import EXIT_REFUSED
 from hilcell.journal.disk_space import bytes_free, bytes_needed, nearest_existing
 from hilcell.journal.journal import StorageError
-from hilcell.ports import DeviceError, StatesSettings
+from hilcell.ports import DeviceError, Inspects, StatesSettings
 from hilcell.report.pdf import find_browser
 from hilcell.run.cell_lock import CellLocked, lock_of_device, locked, locks_folder
 from hilcell.sanitize import harmless_lines
@@ -316,13 +316,20 @@ def _devices(where: str, overrides: dict[str, str]) -> dict[str, Finding]:
 
 
 def robot_settings(cell: Cell) -> Finding:
-    """Compare tool and limits of the robot's controller with the cell file; reads only."""
+    """Compare the robot's controller with the cell file and with what its driver needs; reads only.
+
+    Its tool and limits, and its abilities that are mandatory.
+    """
     kind, options = driver_options(cell, "robot", {})
-    robot = kind(options, WallClock(threading.Event()))
-    if not isinstance(robot, StatesSettings):
+    robot, found = kind(options, WallClock(threading.Event())), list[str]()
+    if not isinstance(robot, StatesSettings | Inspects):
         return Finding("ok", "not compared: the driver does not read them")
     try:
-        found = controller_differences(cell, robot.settings())
+        if isinstance(robot, Inspects):
+            needs = (each for each in robot.inspect() if each.needed == "mandatory")
+            found += [f"{each.feature}: {each.note}" for each in needs if each.state == "has not"]
+        if isinstance(robot, StatesSettings):
+            found += controller_differences(cell, robot.settings())
     except DeviceError as error:
         return Finding("wrong", str(error))
     if found:

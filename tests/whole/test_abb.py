@@ -186,9 +186,18 @@ def test_a_controller_without_the_option_is_refused(bench: Bench) -> None:
     assert "689-1" in error.expected
 
 
-@pytest.mark.parametrize("options", [{"model": "IRB 120"}, {"serial": "1"}])
+@pytest.mark.parametrize(
+    "options", [{"model": "IRB 120"}, {"serial": "1"}, {"name": "IRB 6700-150/3.2"}]
+)
 def test_another_robot_is_refused(bench: Bench, options: dict[str, str]) -> None:
     assert refused(bench, **options).code == "HC-B05"
+
+
+@pytest.mark.parametrize("name", ["IRB6700-235/2.65", "IRB 6700", "the left one"])
+def test_a_name_that_states_no_other_type_is_none(bench: Bench, name: str) -> None:
+    robot = bench.robot(name=name)
+    robot.connect()
+    robot.close()
 
 
 def test_a_module_that_is_missing_or_of_another_version_is_refused(bench: Bench) -> None:
@@ -196,7 +205,7 @@ def test_a_module_that_is_missing_or_of_another_version_is_refused(bench: Bench)
     assert refused(bench).code == "HC-B86"
     bench.controller.loaded, bench.controller.version = True, 7
     error = refused(bench)
-    assert (error.code, error.expected) == ("HC-B17", "1")
+    assert (error.code, error.expected) == ("HC-B17", "2")
 
 
 def test_another_tool_is_refused(bench: Bench) -> None:
@@ -251,6 +260,22 @@ def test_a_program_of_a_dead_pc_is_ended(bench: Bench) -> None:
     robot.close()
 
 
+@pytest.mark.parametrize(
+    ("served_by", "stated", "sign"),
+    [(1, 2, "without TLS"), (2, 1, "HTTPS")],
+)
+def test_web_services_of_the_other_generation_are_named(
+    served_by: int, stated: int, sign: str
+) -> None:
+    values = {"robot.options.web_services": str(served_by)}
+    with served(load_cell("abb", values)) as bench:
+        error = refused(bench, web_services=stated)
+    assert error.code == "HC-B88"
+    assert sign in error.found
+    assert error.expected.startswith(f"web services {stated}")
+    assert f"web_services = {served_by}" in error.act
+
+
 # -- the position stream -------------------------------------------------------------------------
 
 
@@ -267,8 +292,16 @@ def test_a_channel_without_a_port_is_refused(bench: Bench) -> None:
 
 
 def test_a_channel_that_does_not_exist_is_refused(bench: Bench) -> None:
-    error = refusal(bench.robot(egm_device="Other").connect)
-    assert (error.code, "Other" in error.found) == ("HC-B85", True)
+    error = refused(bench, egm_device="Other")
+    assert (error.code, "UCdevice" in error.found) == ("HC-B85", True)
+    assert error.expected.startswith("Other, ")
+
+
+def test_a_module_that_streams_to_another_channel_is_refused(bench: Bench) -> None:
+    bench.controller.streams_to = "Other"
+    error = refused(bench)
+    assert (error.code, error.found.endswith("device Other")) == ("HC-B85", True)
+    assert error.expected.startswith("UCdevice, ")
 
 
 def test_a_stream_to_another_port_does_not_come(
@@ -288,6 +321,36 @@ def test_a_stream_of_another_robot_is_refused(bench: Bench) -> None:
     error = refused(bench)
     assert error.code == "HC-B85"
     assert "another robot" in error.expected
+
+
+def test_a_second_controller_shows_at_connect(bench: Bench) -> None:
+    foreign = egm_robot(5, 1.0, np.zeros(6), motors_on=True, running=True)
+    ended = threading.Event()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+
+        def send() -> None:
+            while not ended.wait(0.004):
+                other.sendto(foreign, ("127.0.0.1", bench.server.stream.port))
+
+        second = threading.Thread(target=send)
+        second.start()
+        try:
+            error = refused(bench)
+        finally:
+            ended.set()
+            second.join()
+    assert (error.code, error.expected) == ("HC-B85", "one controller")
+
+
+def test_a_controller_whose_time_stands_still_is_noticed(
+    bench: Bench, robot: AbbEgmRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    at_s, joints_deg = bench.controller.measured()
+    monkeypatch.setattr(bench.controller, "measured", lambda: (at_s, joints_deg))
+    error = refusal(robot.read)
+    assert (error.code, error.act) == ("HC-B26", "restart the controller")
+    assert "time" in error.found
 
 
 def test_two_controllers_that_answer_are_refused(bench: Bench, robot: AbbEgmRobot) -> None:
@@ -332,7 +395,7 @@ WAITS_S = {  # of a robot that gets nowhere, in place of several seconds
         ("robot.stopmess", True, {"HC-B66"}),
         ("robot.mode_t1", True, {"HC-B12"}),
         ("robot.override_zero", True, {"HC-B16", "HC-B23"}),
-        ("robot.deselected", True, {"HC-B66"}),
+        ("robot.deselected", True, {"HC-B83"}),
         ("robot.restarted", True, {"HC-B13"}),
         ("robot.wrong_tool", True, {"HC-B06"}),
         ("robot.softlimit", True, {"HC-B66"}),
@@ -375,6 +438,16 @@ def test_the_event_log_says_why_a_program_stopped(bench: Bench, robot: AbbEgmRob
     bench.faults.set("robot.softlimit")
     error = refusal(lambda: robot.move_to(TARGET, 100.0))
     assert "(event 50027: Joint Out of Range)" in error.found
+
+
+def test_events_with_numbers_that_are_no_json_are_read(bench: Bench) -> None:
+    """RobotWare 7.20 writes an argument of event 41830 as -01."""
+    bench.controller.log.append((3, 41830, "Error sending EGM UdpUc message"))
+    with first_contact.opened(bench.server.address) as services:
+        answer = services._ask("GET", "/rw/elog/0")
+    assert b": -01}" in answer.body
+    (row,) = (each for each in bench.robot().inspect() if each.feature == "event log")
+    assert (row.state, row.note) == ("has", "event 41830: Error sending EGM UdpUc message")
 
 
 def test_escape_sequences_of_the_event_log_do_not_come_through(bench: Bench) -> None:
@@ -425,6 +498,40 @@ def test_a_stop_brakes_and_holds(bench: Bench, robot: AbbEgmRobot) -> None:
     assert np.abs(at_rad - FAR).max() > 0.1
 
 
+def test_a_stop_in_a_sweep_is_read_where_it_rests(bench: Bench, robot: AbbEgmRobot) -> None:
+    """A stop ends the module's program, and with it the stream."""
+
+    def run() -> None:
+        with robot.sweep(0, HOME[0] + 0.5, 0.05) as sweep:
+            sweep.kickoff()
+            robot.stop()
+            while not sweep.ended:
+                sweep.collect()
+
+    assert refusal(run).code in ("HC-B66", "HC-B21")
+    until(lambda: not bench.truth.robot.axes_moving)
+    reading = robot.read()
+    assert reading.still
+    assert np.abs(reading.joints_rad - bench.truth.robot.state().joints_rad).max() < 1e-5
+    assert agrees(reading)
+    assert abs(reading.joints_rad[0] - HOME[0]) < 0.4
+
+
+def test_at_rest_the_module_ends_by_itself(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So it gives its identity of EGM back: a controller has four."""
+    robot = bench.robot()
+    robot.connect()
+    monkeypatch.setattr(bench.controller, "stop", lambda: pytest.fail("stopped"))
+    robot.close()
+    assert not bench.controller.running
+
+
+def test_a_module_that_may_not_be_asked_to_end_is_stopped(bench: Bench, robot: AbbEgmRobot) -> None:
+    bench.controller.pendant_has_mastership = True
+    robot.close()
+    assert not bench.controller.running
+
+
 def test_a_lost_stop_is_made_good_by_the_watchdog(
     bench: Bench, robot: AbbEgmRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -433,7 +540,7 @@ def test_a_lost_stop_is_made_good_by_the_watchdog(
     number = robot.command(FAR, 60.0)
     robot.stop()
     until(lambda: not bench.truth.robot.axes_moving)
-    assert bench.controller.read_symbol("hc_state") == f"[1,{robot._session},{robot._life},1,8,1]"
+    assert bench.controller.read_symbol("hc_state") == f"[2,{robot._session},{robot._life},1,8,1]"
     assert number == 1
     monkeypatch.undo()
 
@@ -531,7 +638,7 @@ def test_a_sweep_that_is_refused_moves_nothing(bench: Bench, robot: AbbEgmRobot)
 def test_a_brake_that_comes_before_its_order_holds(bench: Bench, robot: AbbEgmRobot) -> None:
     assert bench.controller.write_symbol("hc_brake", "1")
     robot.command(FAR, 60.0)
-    assert bench.controller.read_symbol("hc_state") == f"[1,{robot._session},{robot._life},1,9,1]"
+    assert bench.controller.read_symbol("hc_state") == f"[2,{robot._session},{robot._life},1,9,1]"
     assert not bench.truth.robot.moving
 
 
@@ -556,6 +663,19 @@ def test_abilities(bench: Bench) -> None:
     bench.controller.loaded = False
     rows = {each.feature: each.state for each in bench.robot().inspect()}
     assert rows["option Externally Guided Motion"] == rows["module hilcell"] == "has not"
+    assert rows["robot type"] == "has"
+
+
+def test_an_ability_that_lacks_names_what_is_expected(bench: Bench) -> None:
+    wrong = {"name": "IRB 6700-150/3.2", "egm_device": "Other"}
+    rows = {each.feature: each for each in bench.robot(**wrong).inspect()}
+    for feature, found, expected in (
+        ("robot type", "IRB 6700-235/2.65", "IRB 6700-150/3.2"),
+        ("UDP unicast device Other", "UCdevice", "Other"),
+    ):
+        assert (rows[feature].state, rows[feature].needed) == ("has not", "mandatory")
+        assert found in rows[feature].note
+        assert expected in rows[feature].note.partition("; expected ")[2]
 
 
 def test_discovery(bench: Bench) -> None:

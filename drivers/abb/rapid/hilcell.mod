@@ -2,8 +2,11 @@ MODULE hilcell
   ! hilcell: motions, their watchdog, and the position stream, in task T_ROB1.
   ! The PC writes hc_target and hc_seconds, then a number into hc_order: it starts the motion, and
   ! hc_state shows it when the motion has ended. The PC counts hc_life up meanwhile; where it does
-  ! not for 1.5 s, the motion is stopped. The robot moves by MoveAbsJ to fine points alone.
-  CONST num hc_version:=1;
+  ! not for 1.5 s, the motion is stopped. The robot moves by MoveAbsJ to fine points alone. Another
+  ! hc_session ends the program.
+  CONST num hc_version:=2;
+  ! The UDP unicast device of the position stream.
+  CONST string hc_device:="UCdevice";
   CONST num hc_life_s:=1.5;
   ! Written by the PC. hc_brake is the number of the order to brake.
   PERS num hc_session:=0;
@@ -16,6 +19,7 @@ MODULE hilcell
   ! Errors: 0 none, 8 the PC's life sign was late, 9 braked.
   PERS num hc_state{6}:=[0,0,0,0,0,0];
   ! The reflector's centre on the flange, without rotation, and the load.
+  ! TO BE FILLED IN: three times 0 is no cell's; enter robot.smr_mm of the cell file.
   PERS tooldata hc_tool:=[TRUE,[[0,0,0],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];
   CONST num hc_cycle_s:=0.02;
   CONST num hc_arrived_deg:=0.01;
@@ -31,15 +35,18 @@ MODULE hilcell
     ClkStart hc_clock;
     EGMReset hc_egm;
     EGMGetId hc_egm;
-    EGMSetupUC ROB_1,hc_egm,"default","UCdevice"\Joint;
+    EGMSetupUC ROB_1,hc_egm,"default",hc_device\Joint;
     EGMStreamStart hc_egm\SampleRate:=4;
     ! The session last: from here on the PC gives orders.
     hc_state{2}:=hc_session;
-    WHILE TRUE DO
+    WHILE hc_session=hc_state{2} DO
       hc_hear;
       IF hc_order<>hc_state{4} hc_move;
       WaitTime hc_cycle_s;
     ENDWHILE
+    ! A controller has four identities of EGM; one that is not given back is lost until a restart.
+    EGMStreamStop hc_egm;
+    EGMReset hc_egm;
   ENDPROC
 
   ! The motion runs beside the program (\Conc), which watches it. Where it is stopped, what is left
@@ -79,8 +86,9 @@ MODULE hilcell
     ENDIF
   ENDPROC
 
+  ! Without \Quick: RobotWare 7.21 does not know it.
   LOCAL PROC hc_halt(num why)
-    StopMove\Quick;
+    StopMove;
     ClearPath;
     StartMove;
     hc_state{5}:=why;

@@ -59,9 +59,28 @@ def test_tool_and_device_are_filled_in() -> None:
     (module,) = side.files
     text = module.contents.decode("ascii")
     assert "hc_tool:=[TRUE,[[98.0000,-1.5000,127.0000],[1,0,0,0]]," in text
-    assert '"default","Mine"\\Joint' in text
+    assert 'hc_device:="Mine"' in text
+    assert "TO BE FILLED IN" not in text
+    assert not side.lacks
     assert any("10.0.0.5" in step for step in side.steps)
     assert any("`Mine`" in step for step in side.steps)
+
+
+def test_without_a_cell_file_and_steps_say_what_is_to_be_filled_in() -> None:
+    side = controller_side({})
+    text = side.files[0].contents.decode("ascii")
+    assert "hc_tool:=[TRUE,[[0,0,0]" in text
+    assert "TO BE FILLED IN" in text[: text.index("hc_tool:=")].splitlines()[-2]
+    (lacks,) = side.lacks
+    assert "robot.smr_mm" in lacks
+    assert any(lacks in step for step in side.steps)
+
+
+def test_the_module_gives_its_identity_of_egm_back() -> None:
+    """3HAC073318: a controller has four; RobotWare 7.21 knows no StopMove with Quick."""
+    code = re.sub(r"!.*", "", TEXT)
+    assert re.search(r"ENDWHILE\s+EGMStreamStop hc_egm;\s+EGMReset hc_egm;\s+ENDPROC", code)
+    assert "\\Quick" not in code
 
 
 @pytest.mark.parametrize("device", ['x";Stop', "a b"])

@@ -142,6 +142,23 @@ def test_an_answer_that_cannot_be_used_ends_the_use(answer: bytes) -> None:
         assert "not used any more" in refusal(lambda: found.ask("GET", "/")).found
 
 
+@pytest.mark.parametrize(
+    "answer",
+    [
+        b"HTTP/1.1 401 No\r\nWWW-Authenticate: Basic realm=x\r\nContent-Length: 0\r\n\r\n",
+        b"HTTP/1.1 301 Moved\r\nLocation: https://there/\r\nContent-Length: 0\r\n\r\n",
+        b"HTTP/1.1 406 Not\r\nContent-Length: 0\r\n\r\n",
+        b"HTTP/1.1 400 Bad\r\nContent-Length: 13\r\n\r\nsent to HTTPS",
+        b"\x15\x03\x03\x00\x02\x02\x46",
+    ],
+)
+def test_an_answer_of_the_other_web_services_says_which_key_to_change(answer: bytes) -> None:
+    with channel(answering(answer)) as found:
+        error = refusal(lambda: found.ask("GET", "/"))
+    assert error.code == "HC-B88"
+    assert "robot.options.web_services = 2 and robot.options.port = 443" in error.act
+
+
 def test_an_answer_without_a_request_is_never_used() -> None:
     sent = threading.Event()
 

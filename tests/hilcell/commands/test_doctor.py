@@ -9,6 +9,7 @@ import shutil
 import socket
 import sys
 import time
+from contextlib import closing
 from importlib import resources
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,13 +17,14 @@ from typing import Any
 
 import pytest
 
+from fakes.abb.server import AbbServer
 from fakes.kuka.c3_server import C3Server
 from hilcell.alarms.catalogue import catalogue
 from hilcell.cell.devices import THIS_MACHINE
 from hilcell.cell.file import load_cell
 from hilcell.commands import doctor
 from hilcell.run.cell_lock import lock_of_device, locked
-from tests.fakes.conftest import served
+from tests.fakes.conftest import served, simulated_site
 from tests.fakes.wires import C3Client
 from tests.hilcell.cell.packages import install
 from tests.whole.bench import command
@@ -237,3 +239,27 @@ def test_tool_and_limits_of_a_controller_are_compared(
         found = whole_cell(tmp_path, *given)["robot's settings"]
     assert found["state"] == ("wrong" if words else "ok"), found
     assert all(word in found["found"] for word in words), found
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        ("", []),
+        ('robot.name="IRB 6700-150/3.20"', ["IRB 6700-235/2.65", "IRB 6700-150/3.20"]),
+        ('robot.options.model="IRB 6700-150"', ["IRB 6700-235/2.65", "IRB 6700-150"]),
+        ('robot.options.egm_device="EgmSensor"', ["UCdevice", "EgmSensor"]),
+        ("robot.options.web_services=2", ["web_services = 1"]),
+    ],
+)
+def test_what_the_driver_needs_of_a_controller_is_named(
+    tmp_path: Path, entry: str, words: list[str]
+) -> None:
+    site, _ = simulated_site(load_cell("abb"))
+    with closing(AbbServer(site)) as server:
+        server.start()
+        given = ['robot.options.host="127.0.0.1"', f"robot.options.port={server.address['port']}"]
+        checked = whole_cell(tmp_path, *given, *filter(None, [entry]), name="abb")
+        found = checked["robot's settings"]
+    assert found["state"] == ("wrong" if words else "ok"), found
+    assert all(word in found["found"] + found["do"] for word in words), found
+    assert not site.truth.robot.moving

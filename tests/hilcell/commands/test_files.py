@@ -50,6 +50,14 @@ def test_files_are_those_that_ship_and_have_a_page(driver: str, tmp_path: Path) 
     assert "\n3. " in page
 
 
+def test_values_that_no_cell_gives_are_named(tmp_path: Path) -> None:
+    done = command("files", "abb-egm", "-o", tmp_path / "bare")
+    assert "hc_tool" in done.stderr
+    assert "--cell" in done.stderr
+    given = command("files", "abb-egm", "--cell", "abb", "-o", tmp_path / "mine", "--json")
+    assert json.loads(given.stdout)["lacks"] == []
+
+
 def test_values_of_a_cell_are_filled_in(tmp_path: Path) -> None:
     cell, folder = tmp_path / "mine.toml", tmp_path / "eki"
     options = {"host": '"10.1.2.3"', "port": 54700, "stop_port": 54701, "tool": 7, "base": 3}
