@@ -144,7 +144,21 @@ def urdf_bytes(robot: Robot, fitted: RigidArm, remarks: Sequence[str]) -> bytes:
     ]
     if isinstance(robot, Urdf):
         return robot.with_chain(chain, comment)
-    return urdf_of(robot.name, chain, comment)
+    return urdf_of(robot.name, chain, comment, _axis_limits(robot))
+
+
+def _axis_limits(robot: Robot) -> Array:
+    """Limits (3, n) of the axes' angles: lower, upper, speed. Axis 3 of a coupled arm turns as far
+    and as fast as both joints together.
+    """
+    count = len(robot.arm)
+    limits = np.vstack([np.broadcast_to(robot.limits_rad, (2, count)),
+                        np.broadcast_to(robot.speeds_rad_s, (1, count))])  # fmt: skip
+    if robot.arm.coupling:
+        second, third = robot.arm.coupled_rows
+        limits[:2, third] += np.sort(robot.arm.coupling * limits[:2, second])
+        limits[2, third] += limits[2, second]
+    return limits
 
 
 def _coupled(arm: Arm) -> list[str]:

@@ -34,8 +34,9 @@ class Robot:
     """A robot's nominal kinematics: a serial chain of 1 to 9 revolute and prismatic joints.
 
     ``arm`` has its tool point on the flange behind the last row; ``base`` (4, 4) in the robot's
-    root frame; ``tool`` (4, 4) on the flange, the frame of the targets. Joint limits (2, n), or
-    (2, 1) and infinite where none are given. A value of a prismatic joint is in m.
+    root frame; ``tool`` (4, 4) on the flange, the frame of the targets. Joint limits (2, n) of the
+    controller's own values and largest speeds (n,), or (2, 1) and (1,) and infinite where none are
+    given. A value of a prismatic joint is in m.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Robot:
     base: Array = field(default_factory=lambda: np.eye(4))
     tool: Array = field(default_factory=lambda: np.eye(4))
     limits_rad: Array = field(default_factory=lambda: np.array([[-np.inf], [np.inf]]))
+    speeds_rad_s: Array = field(default_factory=lambda: np.array([np.inf]))
 
     @classmethod
     def from_dh(

@@ -262,6 +262,7 @@ def _comment(lines: Sequence[str]) -> bytes:
 
 
 URDF = ".urdf"
+UNLIMITED = np.array([[-np.inf], [np.inf], [np.inf]])
 WIDEST = '<limit lower="-100" upper="100" effort="0" velocity="0"/>'
 LEAST_REACH_M, MOST_REACH_M = 0.05, 50.0  # of all links in a row; beyond, lengths are not metres
 REVOLUTE = ("revolute", "continuous")
@@ -407,18 +408,26 @@ def _row(values: Array) -> str:
     return " ".join(f"{value:z.12f}".rstrip("0").rstrip(".") for value in values)
 
 
-def urdf_of(name: str, chain: Chain, comment: Sequence[str]) -> bytes:
-    """URDF of a chain: links base_link, link_1 .. link_n, tool0; no shapes, and no limits but the
-    widest of prismatic joints, which must have some.
+def urdf_of(name: str, chain: Chain, comment: Sequence[str], limits: Array = UNLIMITED) -> bytes:
+    """URDF of a chain: links base_link, link_1 .. link_n, tool0; no shapes.
+
+    ``limits`` (3, n) or (3, 1) are lower, upper, both rad, and speed, rad/s. A joint that turns and
+    lacks one is continuous; one that shifts has the widest, since it must have some. The efforts,
+    which URDF requires beside them, are not known: 0.
     """
     count = len(chain.axes)
     links = ["base_link", *(f"link_{n}" for n in range(1, count + 1)), "tool0"]
     lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(clean(name))}>"]
     lines += [f'  <link name="{link}"/>' for link in links]
-    steps = [*chain.origins, chain.tip]
+    steps, most = [*chain.origins, chain.tip], np.broadcast_to(limits, (3, count))
     for number, step in enumerate(steps):
         moves, shifts = number < count, number in chain.prismatic
         kind = PRISMATIC if shifts else "continuous" if moves else "fixed"
+        limit = [f"    {WIDEST}"] if shifts else []
+        if moves and not shifts and np.isfinite(most[:, number]).all():
+            lower, upper, speed = (f"{value:.9g}" for value in most[:, number])
+            kind = "revolute"
+            limit = [f'    <limit lower="{lower}" upper="{upper}" effort="0" velocity="{speed}"/>']
         joint = f"joint_{number + 1}" if moves else "tool0_joint"
         lines += [
             f'  <joint name="{joint}" type="{kind}">',
@@ -426,7 +435,7 @@ def urdf_of(name: str, chain: Chain, comment: Sequence[str]) -> bytes:
             f'    <parent link="{links[number]}"/>',
             f'    <child link="{links[number + 1]}"/>',
             *([f'    <axis xyz="{_row(chain.axes[number])}"/>'] if moves else []),
-            *([f"    {WIDEST}"] if shifts else []),
+            *limit,
             "  </joint>",
         ]
     content = "\n".join([*lines, "</robot>", ""]).encode()

@@ -200,7 +200,8 @@ def xlsx_bytes(facts: Facts) -> bytes:
 def urdf_of_run(facts: Facts) -> bytes:
     """Return the arm as `hilcell fit` identifies it from the run's points; raises `HilcellError`.
 
-    Its base is the robot's. It has link parameters alone: the calibration has more.
+    Its base is the robot's, its limits are the cell file's. It has link parameters alone: the
+    calibration has more.
     """
     from hilcell.fit.measurements import Measurements  # all load long
     from hilcell.fit.methods import fit_robot
@@ -212,7 +213,12 @@ def urdf_of_run(facts: Facts) -> bytes:
     station = facts.cell.grid.station
     learnt = [each for kind in kinds for each in log.select(kind, station)]
     rows = Measurements.from_arrays(commanded_rad(learnt), positions_mm(learnt))
-    nominal = Robot(robot.name, replace(robot.arm(), tool=np.eye(4)))
+    nominal = Robot(
+        robot.name,
+        replace(robot.arm(), tool=np.eye(4)),
+        limits_rad=np.radians([(each.min_deg, each.max_deg) for each in robot.joint]).T,
+        speeds_rad_s=np.radians([each.speed_deg_s for each in robot.joint]),
+    )
     fitted = rigid_arm(fit_robot(nominal, rows))
     remarks = [f"{len(rows)} poses of run {facts.run}.", *alone(fitted.figures)]
     return urdf_bytes(nominal, fitted, remarks)

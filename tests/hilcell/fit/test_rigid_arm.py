@@ -2,6 +2,8 @@
 
 import csv
 import json
+import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +16,7 @@ from hilcell.fit.rigid_arm import RigidArm, alone, rigid_arm, urdf_bytes, write_
 from hilcell.fit.robot_file import Robot
 from hilcell.fit.urdf_file import Urdf, read_urdf
 from hilcell.geometry.frames import apply, inverse
-from hilcell.geometry.kinematics import Array
+from hilcell.geometry.kinematics import Array, forward
 from hilcell.geometry.statistics import figures_of
 from tests.hilcell.fit.test_fit import IRB120, SMR_MM, T_L_B, measured
 from tests.hilcell.fit.urdfs import PLAIN, reached_m
@@ -63,6 +65,34 @@ def test_a_calibrated_urdf_alone_predicts_other_poses(
     assert missed.mean() < 2.5 * NOISE_MM
     nominal = seen_mm(PLAIN.encode(), T_L_root, smr_mm, rows)
     assert np.linalg.norm(rows.xyz_mm - nominal, axis=1).mean() > 10 * missed.mean()
+
+
+@pytest.mark.parametrize("coupling", [0.0, 1.0, -1.0])
+def test_the_limits_are_those_of_the_axes_and_the_arm_is_the_same_there(
+    found: RigidArm, coupling: float
+) -> None:
+    arm = replace(IRB120.arm, sign=np.array([-1.0, 1, 1, -1, 1, -1]), coupling=coupling)
+    low, high = np.radians([[-170, -110, -110, -160, -120, -400], [165, 100, 70, 150, 110, 390]])
+    robot = Robot(
+        "r", arm, limits_rad=np.array([low, high]), speeds_rad_s=np.radians(np.arange(6) + 100.0)
+    )
+    text = urdf_bytes(robot, replace(found, arm=arm), ["a remark"])
+    limits = [each.attrib for each in ET.fromstring(text).findall("joint[@type='revolute']/limit")]
+    lower, upper, speed = (
+        np.array([float(each[key]) for each in limits]) for key in ("lower", "upper", "velocity")
+    )
+    ends_rad = np.array([low, high, np.where(np.arange(6) == 1, high, low)])
+    for joints, axes in zip(ends_rad, arm.angles(ends_rad), strict=True):
+        tip = reached_m(text, {f"joint_{n}": angle for n, angle in enumerate(axes, start=1)})
+        tip[:3, 3] *= 1000.0
+        np.testing.assert_allclose(tip, forward(arm, joints), atol=1e-4)
+    others = [0, 1, 3, 4, 5]
+    np.testing.assert_allclose(np.array([lower, upper])[:, others], [low[others], high[others]])
+    corners_rad = np.array([[low[1], low[2]], [low[1], high[2]], [high[1], low[2]],
+                            [high[1], high[2]]])  # fmt: skip
+    third_rad = corners_rad[:, 1] + coupling * corners_rad[:, 0]
+    np.testing.assert_allclose([lower[2], upper[2]], [third_rad.min(), third_rad.max()])
+    assert np.degrees(speed[2]) == pytest.approx(102.0 + abs(coupling) * 101.0)
 
 
 def test_the_comment_places_root_and_reflectors(

@@ -27,6 +27,7 @@ from hilcell.report.export import (
     urdf_of_run,
     xlsx_bytes,
 )
+from tests.hilcell.fit.urdfs import reached_m
 from tests.hilcell.report.journals import Writer, validated_run
 
 POINT_KEYS = [column.key for column in POINTS]
@@ -98,6 +99,21 @@ def test_a_run_s_arm_is_a_urdf_with_its_base_and_reflector(tmp_path: Path) -> No
     assert np.linalg.norm(root_mm - T_L_B[:3, 3]) < 2.0
     assert np.linalg.norm(smr_mm - cell.robot.smr_mm) < 1.0
     flange = read_robot(urdf).poses(grid_rad) @ matrix(np.eye(3), smr_mm)
+    ends_rad = np.radians([(each.min_deg, each.max_deg) for each in cell.robot.joint]).T
+    stated = ET.fromstring(urdf.read_bytes()).findall("joint[@type='revolute']/limit")
+    found = np.array(
+        [[float(each.attrib[key]) for key in ("lower", "upper", "velocity")] for each in stated]
+    ).T
+    np.testing.assert_allclose(found[:2], ends_rad, atol=1e-8)
+    speeds_deg_s = [each.speed_deg_s for each in cell.robot.joint]
+    np.testing.assert_allclose(np.degrees(found[2]), speeds_deg_s, atol=1e-6)
+    assert {each.attrib["effort"] for each in stated} == {"0"}
+    places_mm = []
+    for ends in found[:2]:
+        tip = reached_m(urdf.read_text(), {f"joint_{n}": q for n, q in enumerate(ends, start=1)})
+        places_mm.append((tip @ [*smr_mm / 1000.0, 1.0])[:3] * 1000.0)
+    gone_mm = np.diff(places_mm, axis=0)[0]
+    assert np.linalg.norm(gone_mm - np.diff(forward(true, ends_rad)[:, :3, 3], axis=0)[0]) < 5.0
     from_first_mm = flange[:, :3, 3] - flange[0, :3, 3]
     true_mm = forward(true, grid_rad)[:, :3, 3]
     off_mm = np.linalg.norm(from_first_mm, axis=1) - np.linalg.norm(true_mm - true_mm[0], axis=1)
