@@ -25,7 +25,13 @@ from hilcell.journal.log import Log
 from hilcell.model.outcome import Figure
 from hilcell.model.plan import PlannedStep, Span
 from hilcell.model.point import BACK, STEADY, PointId
-from hilcell.model.verdicts import AxesJudged, DriftJudged, MeasuredLength, MeasuredReflector
+from hilcell.model.verdicts import (
+    AxesJudged,
+    DriftJudged,
+    InstrumentChecked,
+    MeasuredLength,
+    MeasuredReflector,
+)
 from hilcell.ports import HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
@@ -198,7 +204,9 @@ class Compared(Reflectors):
             super().perform(session)
 
     def result(self, log: Log) -> Result:
-        return {**super().result(log), "not_checked": list(_not_checked(log))}
+        checked = InstrumentChecked.by(log.verdicts)
+        proven = {} if checked is None else {"proven": {**checked._asdict(), "text": checked.text}}
+        return {**super().result(log), "not_checked": list(_not_checked(log)), **proven}
 
 
 def _not_checked(log: Log) -> Iterator[str]:

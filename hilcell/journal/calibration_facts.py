@@ -10,7 +10,15 @@ import msgspec
 from hilcell.errors import EXIT_REFUSED
 from hilcell.language import marked
 from hilcell.model.outcome import Outcome
-from hilcell.model.verdicts import VALIDATION, ChangedSince, Judged, PoseTested, Rechecked, Verdict
+from hilcell.model.verdicts import (
+    VALIDATION,
+    ChangedSince,
+    InstrumentChecked,
+    Judged,
+    PoseTested,
+    Rechecked,
+    Verdict,
+)
 
 NOT_JUDGED = marked(("measured", "done"))  # runs without a verdict, and without a point either
 SUSPECTED = marked("suspected")  # of a run that suspects a cause, alone or behind its outcome
@@ -24,8 +32,9 @@ class CalibrationFacts(msgspec.Struct, frozen=True, kw_only=True):
     used, ``validated`` whether places were validated and all pass, ``recheck`` the verdict on the
     used one, ``doubt`` another explanation of its update. ``carried`` is the run whose arm a
     re-calibration has. ``revoked`` is the reason of the run's revocation. ``suspected``: a
-    suspected cause was not cleared; ``judged``: the robot was compared with limits; ``outcome`` is
-    that of all verdicts, None where nothing was judged and no check failed. ``changed_since`` is
+    suspected cause was not cleared; ``judged``: the robot was compared with limits, ``checked``:
+    the instrument; ``outcome`` is that of all verdicts, None where no robot was judged and no check
+    failed. ``changed_since`` is
     the run of a calibration from which this one differs, if nothing else is against it: an operator
     decides which is right.
     """
@@ -39,6 +48,7 @@ class CalibrationFacts(msgspec.Struct, frozen=True, kw_only=True):
     revoked: str = ""
     suspected: bool = False
     judged: bool = False
+    checked: bool = False
     outcome: Outcome | None = None
     changed_since: str = ""
 
@@ -51,6 +61,8 @@ class CalibrationFacts(msgspec.Struct, frozen=True, kw_only=True):
             words = self.outcome.text
         elif not words and self.kind == "made" and not self.validated:
             words = marked("not validated")
+        elif not words and self.checked:
+            words = marked("nothing proven wrong")
         return "; ".join(filter(None, (words, SUSPECTED if self.suspected else "")))
 
 
@@ -83,6 +95,7 @@ def facts_of(
         revoked=revoked,
         suspected=suspected,
         judged=judged,
+        checked=InstrumentChecked.by(verdicts) is not None,
         outcome=None if recheck is not None else found,
         changed_since=since.before if since is not None and broken == [since] else "",
     )

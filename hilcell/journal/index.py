@@ -51,7 +51,7 @@ from hilcell.model.results import Place
 from hilcell.model.verdicts import Verdict
 
 NAME = "index.sqlite"
-SCHEMA = 12  # increase it whenever `RunRow` or the meaning of its fields changes
+SCHEMA = 13  # increase it whenever `RunRow` or the meaning of its fields changes
 BUSY_S = 2.0  # wait for another writer; then the journals are read instead
 SETTLED_S = 3.0  # file times have a resolution of up to 2 s
 UNREADABLE, NEVER_BEGAN = "unreadable", "never began"  # states that no journal holds

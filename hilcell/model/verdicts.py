@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
-from typing import ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple, Self
 
 import msgspec
 from msgspec import field
@@ -546,6 +546,10 @@ class LengthsChecked(Verdict, frozen=True, kw_only=True):
     lengths: list[MeasuredLength]
     wrong: list[str]
 
+    @property
+    def within(self) -> int:
+        return sum(each.holds for each in self.lengths)
+
     def _text(self) -> str:
         return "; ".join(each.text for each in self.lengths)
 
@@ -609,6 +613,10 @@ class ReflectorsCompared(Verdict, frozen=True, kw_only=True):
     keys: ClassVar[tuple[str, ...]] = ("reflectors",)
     reflectors: list[MeasuredReflector]
     wrong: list[str]
+
+    @property
+    def within(self) -> int:
+        return sum(each.holds for each in self.reflectors)
 
     def _text(self) -> str:
         return "; ".join(self.wrong) or "none differs from the others"
@@ -690,6 +698,55 @@ class DriftJudged(Verdict, frozen=True, kw_only=True):
             Figure(f"range {where}", self.range_mm),
             Figure(f"noise of a coordinate of {self.nest}", self.noise_mm),
         )
+
+
+class InstrumentChecked(NamedTuple):
+    """What a check of the instrument alone proves: which figures, lengths and reflectors are beyond
+    their limit, which figures are undecided, each as text, and how many keep their limit.
+    """
+
+    beyond: list[str]
+    undecided: list[str]
+    within: int
+
+    @classmethod
+    def by(cls, verdicts: Mapping[str, Verdict]) -> Self | None:
+        """Return it by the verdicts of a run; None of a run that checked no instrument."""
+        every = list(verdicts.values())
+        judged = [each for each in every if isinstance(each, AxesJudged | DriftJudged)]
+        if not judged:
+            return None
+        figures = [each for of in judged for each in of.figures if each.limit is not None]
+        by = {kind: [each.why for each in figures if each.outcome is kind] for kind in Outcome}
+        within = len(by[Outcome.ACCEPTED])
+        for each in every:
+            if isinstance(each, LengthsChecked | ReflectorsCompared):
+                by[Outcome.REJECTED] += each.wrong
+                within += each.within
+        return cls(by[Outcome.REJECTED], by[Outcome.UNDECIDED], within)
+
+    @property
+    def form(self) -> str:
+        """The sentence without its `values`, for `tr`."""
+        if self.beyond:
+            return marked(
+                "proven beyond its limit: {beyond}; within theirs: {within}, undecided: {count}"
+            )
+        if self.undecided:
+            return marked(
+                "nothing is proven beyond its limit; figures within theirs: {within}, undecided: "
+                "{count} ({undecided})"
+            )
+        return marked("nothing is proven beyond its limit; figures within theirs: all {within}")
+
+    @property
+    def values(self) -> dict[str, object]:
+        both = {"beyond": "; ".join(self.beyond), "undecided": "; ".join(self.undecided)}
+        return both | {"within": self.within, "count": len(self.undecided)}
+
+    @property
+    def text(self) -> str:
+        return self.form.format(**self.values)
 
 
 # -- the rail and the drivers ----------------------------------------------------------------------

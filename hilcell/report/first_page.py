@@ -31,7 +31,7 @@ from hilcell.language import date_text, tr
 from hilcell.model.calibration import MAX_AGE_DAYS
 from hilcell.model.outcome import RULE, Outcome, gravest, outcome_of
 from hilcell.model.point import BOTH, Sent
-from hilcell.model.verdicts import VALIDATION, Fitted, Judged, Rechecked
+from hilcell.model.verdicts import VALIDATION, Fitted, InstrumentChecked, Judged, Rechecked
 from hilcell.present.table import Column, Table
 from hilcell.report.budgets import K_3D, TargetBudget
 from hilcell.report.facts import Facts
@@ -248,7 +248,11 @@ class FirstPage:
         for kind in ("recheck", "targets"):
             if kind in facts.result:
                 return str(facts.result[kind]["text"])
+        checked = InstrumentChecked.by(facts.log.verdicts)
         match self.judgement():
+            case "failed check" | "not judged" if checked is not None:
+                said = tr(checked.form, **checked.values)
+                return f"{said[:1].upper()}{said[1:]}."
             case "suspected":
                 return tr(
                     "{suspected}. Correct nothing by it until that is cleared.",

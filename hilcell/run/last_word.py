@@ -29,7 +29,15 @@ from hilcell.journal.log import Log
 from hilcell.journal.runs_folder import command_in, command_on
 from hilcell.model.events import CalibrationUsed
 from hilcell.model.outcome import Figure, Outcome
-from hilcell.model.verdicts import OTHERS, VALIDATION, Judged, PoseTested, Rechecked, Verdict
+from hilcell.model.verdicts import (
+    OTHERS,
+    VALIDATION,
+    InstrumentChecked,
+    Judged,
+    PoseTested,
+    Rechecked,
+    Verdict,
+)
 from hilcell.ports import RecordingEnded
 from hilcell.sanitize import counted, encodable, harmless
 
@@ -129,6 +137,8 @@ def _finished(log: Log, folder: Path) -> _Words:
     codes = dict.fromkeys(code_of_verdict(key, each.outcome) for key, each in failed.items())
     explain = [f"hilcell explain {code}" for code in codes]
     outcome, facts = log.outcome, log.facts
+    if (checked := InstrumentChecked.by(log.verdicts)) is not None:
+        return log.outcome_text.upper(), checked.text, (*explain[:MOST_REASONS], report)
     if outcome is Outcome.ACCEPTED:
         prepare = [_prepare(log, folder, folder.name)] if log.calibrates else []
         return "IN TOLERANCE", _figures(log.verdicts), (report, *prepare)

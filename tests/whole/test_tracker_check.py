@@ -38,6 +38,9 @@ def test_a_sound_tracker_passes(tmp_path: Path, values: dict[str, str], two_face
     assert ("tracker_axes" in run.result) is two_faces
     assert any("turn it over" in each for each in run.result["not_checked"]) is not two_faces
     assert not [each for each in run.events if each["kind"] == "intent"]  # nothing moves
+    proven = run.result["proven"]
+    assert proven["beyond"] == []
+    assert f"NOTHING PROVEN WRONG (simulated): {proven['text']}" in run.done.stderr
     page = Page(report_html(read_facts(run.folder)))
     assert ("figure-faces" in page.ids) is two_faces
     assert {"tracker", "figure-tracker-drift"} <= set(page.ids)
@@ -65,6 +68,8 @@ def test_a_fault_fails_its_verdict(
     assert key in wrong
     assert set(wrong) <= {key, "known-length"}  # axes that are off falsify lengths, too
     assert alarm in run.done.stderr
+    assert run.result["proven"]["beyond"] != []
+    assert f"OUT OF TOLERANCE (simulated): {run.result['proven']['text']}" in run.done.stderr
 
 
 def test_a_steady_drift_is_no_error_of_the_axes(tmp_path: Path) -> None:

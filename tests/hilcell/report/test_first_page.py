@@ -26,6 +26,7 @@ from hilcell.report.first_page import Certificate, FirstPage
 from hilcell.report.html import report_html
 from hilcell.report.tables import Tables, typeset
 from hilcell.report.timeline import timeline
+from hilcell.run.last_word import last_word
 from tests.hilcell import verdicts
 from tests.hilcell.commands.finished_runs import MADE, REDO, finished
 from tests.hilcell.report.journals import validated_run
@@ -99,6 +100,17 @@ def test_the_sentence_has_the_rule_of_its_outcome(
     assert words in FirstPage(judged(tmp_path / "r", code=code, **more)).sentence()
 
 
+def test_the_sentence_of_a_tracker_check_is_that_of_its_last_word(tmp_path: Path) -> None:
+    writer = validated_run(tmp_path / "r")
+    for key, verdict in (("tracker-axes", verdicts.TRACKER_AXES),
+                         ("tracker-drift", verdicts.TRACKER_DRIFT)):  # fmt: skip
+        writer.journal.append("verdict", key, verdict)
+    facts = read_facts(writer.ended(code=1))
+    said = FirstPage(facts).sentence()
+    assert said.startswith("Proven beyond its limit: both faces at N1 0.0539 mm exceeds 0.015 mm")
+    assert said[1:-1] in last_word(facts.log, tmp_path / "r").sentence
+
+
 def test_the_figure_that_decided_and_its_limit_stand_in_the_sentence(tmp_path: Path) -> None:
     undecided = FirstPage(judged(tmp_path / "r", code=1, **TURNED)).sentence()
     assert "0.0220° keeps 0.03°, but not with its U of 0.0150° added" in undecided
@@ -116,6 +128,8 @@ def test_the_figure_that_decided_and_its_limit_stand_in_the_sentence(tmp_path: P
         ("backlash", verdicts.BACKLASH, 0, "MEASURED"),
         ("backlash", replace(verdicts.BACKLASH, holds=False), 1, "OUT OF TOLERANCE"),
         ("fit", verdicts.FITTED, 0, "NOT VALIDATED"),
+        ("tracker-drift", verdicts.TRACKER_DRIFT, 0, "NOTHING PROVEN WRONG"),
+        ("tracker-axes", verdicts.TRACKER_AXES, 1, "OUT OF TOLERANCE"),
     ],
 )
 def test_report_and_list_of_runs_have_one_word(

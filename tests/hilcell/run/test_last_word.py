@@ -101,6 +101,12 @@ def test_the_last_word_of_a_run_that_did_not_finish_is_its_cause_and_how_it_cont
 MADE: dict[str, Verdict] = {"fit": verdicts.FITTED}
 WORSE = replace(verdicts.JUDGED, mean_mm=0.06, max_mm=0.09)
 TURNED = replace(verdicts.JUDGED, max_deg=0.0123, max_tolerance_deg=0.03, max_U_deg=0.004)
+UPRIGHT = replace(
+    verdicts.TRACKER_AXES,
+    holds=True,
+    nests=[replace(verdicts.TRACKER_AXES.nests[0], across_mm=0.004, down_mm=0.0)],
+)
+RESTLESS = replace(verdicts.TRACKER_DRIFT, trend_mm=(0.0, 0.018, 0.0))
 REPORT, PREPARE = "report r1 -o report.html", "prepare HOLES.csv --calibration {} -o FOLDER"
 
 
@@ -157,6 +163,21 @@ REPORT, PREPARE = "report r1 -o report.html", "prepare HOLES.csv --calibration {
             {"recheck": replace(verdicts.UPDATED, holds=False, doubt="it may have slipped")}, 1,
             "UPDATED (simulated): drift 0.300 mm, u 0.010 mm; it may have slipped",
             [REPORT, PREPARE.format("r1")],
+        ),
+        (
+            {"tracker-axes": UPRIGHT, "tracker-drift": verdicts.TRACKER_DRIFT}, 0,
+            "is proven beyond its limit; figures within theirs: all 2",
+            [REPORT],
+        ),
+        (
+            {"tracker-axes": UPRIGHT, "tracker-drift": RESTLESS}, 0,
+            "theirs: 1, undecided: 1 (trend of N1 in 10 min 0.0180 mm keeps 0.02 mm, but not with",
+            [REPORT],
+        ),
+        (
+            {"tracker-axes": verdicts.TRACKER_AXES, "tracker-drift": RESTLESS}, 1,
+            "exceeds 0.015 mm by more than its U of 0.0040 mm; within theirs: 0, undecided: 1",
+            ["explain HC-V23", REPORT],
         ),
         ({"recheck": verdicts.REDO}, 1, "CALIBRATE AGAIN (simulated): drift 0.9", ["run"]),
     ],
