@@ -56,12 +56,14 @@ from hilcell.plant.tables import (
     joined,
 )  # fmt: skip
 
-YEAR_S = 365.25 * 86400.0
+DAY_S = 86400.0
+YEAR_S = 365.25 * DAY_S
 BoolArray = NDArray[np.bool_]
 ARM, BASE = "errors at the grid, in {B}", "base {B} in {W}"
 SIGNIFICANCE = 0.01  # the share of false ones among those that are shown
 CONFIDENCE = 0.95
 FEWEST = 6  # runs
+LEAST_DAYS = 7.0  # of a slope: less, and the rhythm of a day or of warm devices passes for one
 MOST_STEPS = 5  # of one quantity
 
 # -- the trend of a measured quantity --------------------------------------------------------------
@@ -97,7 +99,7 @@ class Series(NamedTuple):
 
 
 def why_no_trend(years: Array, values: Array) -> str:
-    """Return why values (N,) at times (N,) in years have no trend, or ""."""
+    """Return why values (N,) at times (N,) in years have neither steps nor a slope, or ""."""
     if len(values) < FEWEST:
         return f"expected at least {FEWEST} calibrations, got {len(values)}"
     if not float(np.ptp(years)) > 0.0:
@@ -105,6 +107,18 @@ def why_no_trend(years: Array, values: Array) -> str:
     least_range = 1e-9
     if not float(np.ptp(values)) > least_range:  # rounding only
         return "all calibrations gave the same values"
+    return ""
+
+
+def why_no_slope(years: Array) -> str:
+    """Return why runs at times (N,) in years tell no change a year, or "": too few, or within too
+    short a time, which a step needs not.
+    """
+    if len(years) < FEWEST:
+        return f"expected at least {FEWEST} runs, got {len(years)}"
+    days = float(np.ptp(years)) * YEAR_S / DAY_S
+    if not days >= LEAST_DAYS:
+        return f"too short: expected runs over {LEAST_DAYS:g} days or more, got {days:.1f} days"
     return ""
 
 
@@ -122,7 +136,12 @@ def fit_trends(every: Sequence[Series]) -> list[Trend | None]:
             if holds:
                 model.add(at)
     fits = [None if model is None else model.fit() for model in models]
-    drifts = iter(discoveries(np.array([fit.p for fit in fits if fit is not None])))
+    p_values = [
+        1.0 if why_no_slope(each.years) else fit.p
+        for each, fit in zip(every, fits, strict=True)
+        if fit is not None
+    ]
+    drifts = iter(discoveries(np.array(p_values)))
     return [
         None
         if model is None or fit is None
@@ -422,6 +441,11 @@ class _Robots:
     def trend(self, of: _Robot, trends: dict[str, Trend | None]) -> RobotTrend:
         robot, cell, serial, machine = of.place
         found = [(what, trend) for what, trend in trends.items() if trend is not None]
+        reasons = {
+            what: why_no_trend(each.years, each.values) or why_no_slope(each.years)
+            for what, each in of.quantities.items()
+        }
+        not_judged = {what: reason for what, reason in reasons.items() if reason}
         return RobotTrend(
             robot=robot, cell=cell, serial=serial, machine=machine,
             calibrations=len(of.digests),
@@ -434,12 +458,9 @@ class _Robots:
                     drifts=trend.drifts, noise_mm=trend.noise,
                 )
                 for what, trend in found
+                if what not in not_judged
             ],
-            not_judged={
-                what: why_no_trend(each.years, each.values)
-                for what, each in of.quantities.items()
-                if trends[what] is None
-            },
+            not_judged=not_judged,
             changes=[
                 self._change(what, of.digests, step)
                 for what, trend in found
@@ -525,7 +546,7 @@ class StationTrend(msgspec.Struct, frozen=True, kw_only=True):
 
 class AxisTrend(msgspec.Struct, frozen=True, kw_only=True):
     """An error of a tracker's axis at its newest check, and its change a year over all checks with
-    U (k = 2), None of too few: least squares.
+    U (k = 2): least squares; else None, and ``not_judged`` says why.
     """
 
     axis: str
@@ -533,6 +554,7 @@ class AxisTrend(msgspec.Struct, frozen=True, kw_only=True):
     urad: float
     urad_per_year: float | None = None
     U_urad_per_year: float | None = None
+    not_judged: str = ""
 
 
 class Instrument(msgspec.Struct, frozen=True, kw_only=True):
@@ -579,12 +601,14 @@ def worse_stations(connection: Connection, cell: str = "", robot: str = "") -> l
         .where(RUN.c.newest, VERDICT.c.key.startswith(VALIDATION), VERDICT.c.mean_mm.is_not(None))
         .where(VERDICT.c.key != f"{VALIDATION}{OTHERS}", *selected(cell, robot))
         .group_by(*place)
-        .having(func.count() >= FEWEST, func.max(RUN.c.ended) > func.min(RUN.c.ended))
+        .having(func.count() >= FEWEST)
     )
     stations = []
     for row in connection.execute(query):
         own = np.column_stack([np.frombuffer(each, ">f8") for each in row[4:]])
-        stations.append((row[:4], own[np.argsort(own[:, 0], kind="stable")]))
+        own = own[np.argsort(own[:, 0], kind="stable")]
+        if not why_no_slope(own[:, 0] / YEAR_S):
+            stations.append((row[:4], own))
     stations.sort(key=itemgetter(0))
     risen = discoveries(_p_of_rise([own[:, 1] for _, own in stations]))
     return [
@@ -712,8 +736,9 @@ def _axis_trend(axis: str, ended_s: Array, urad: Array) -> AxisTrend | None:
     years, values = ended_s[known] / YEAR_S, urad[known]
     if not len(values):
         return None
-    newest = AxisTrend(axis=axis, checks=len(values), urad=float(values[-1]))
-    if len(values) < FEWEST or not float(np.ptp(years)) > 0.0:
+    why = why_no_slope(years)
+    newest = AxisTrend(axis=axis, checks=len(values), urad=float(values[-1]), not_judged=why)
+    if why:
         return newest
     a_year, u = slope(years, values)
     return msgspec.structs.replace(newest, urad_per_year=a_year, U_urad_per_year=2.0 * u)

@@ -14,6 +14,7 @@ from hilcell.plant.equipment import (
     fit_trends,
     main_direction,
     theil_sen,
+    why_no_slope,
     why_no_trend,
 )  # fmt: skip
 from hilcell.ports import Array
@@ -158,6 +159,9 @@ def test_a_run_that_alone_differs_at_the_end_is_seen_once() -> None:
     assert [(step.at, step.after) for step in found.steps] == [(23, 1)]
 
 
+SHORT = "too short: expected runs over 7 days or more"
+
+
 @pytest.mark.parametrize(
     ("years", "values", "reason"),
     [
@@ -170,6 +174,20 @@ def test_a_run_that_alone_differs_at_the_end_is_seen_once() -> None:
 def test_what_has_no_course_has_a_reason(years: Array, values: Array, reason: str) -> None:
     assert fit_trend(years, values) is None
     assert why_no_trend(years, values) == reason
+
+
+@pytest.mark.parametrize(
+    ("years", "reason"),
+    [
+        (YEARS, ""),
+        (np.linspace(0.0, 7.1, 24) / 365.25, ""),
+        (np.linspace(0.0, 6.9, 24) / 365.25, f"{SHORT}, got 6.9 days"),
+        (np.full(24, np.nan), f"{SHORT}, got nan days"),
+        (YEARS[: FEWEST - 1], "expected at least 6 runs, got 5"),
+    ],
+)
+def test_a_change_a_year_needs_runs_and_time(years: Array, reason: str) -> None:
+    assert why_no_slope(years) == reason
 
 
 def test_the_main_direction_is_that_of_the_change_whatever_the_order() -> None:

@@ -23,7 +23,7 @@ from sqlalchemy import text
 from hilcell.commands.plant import INSTRUMENTS, STATIONS
 from hilcell.journal.runs import read_records
 from hilcell.plant.database import Database
-from hilcell.plant.equipment import Instrument, StationTrend
+from hilcell.plant.equipment import ARM, Instrument, StationTrend
 from hilcell.plant.rights import ENGINEER
 from hilcell.plant.shipper import ship
 from hilcell.present.table import Table
@@ -161,6 +161,24 @@ def test_the_order_of_arrival_changes_no_answer(
     assert datetime.fromisoformat(robot["first"]) < datetime.fromisoformat(robot["last"])
     (worse,) = found["stations"]
     assert worse["mm_per_year"] == pytest.approx(0.01 * 365.25, rel=0.01)
+
+
+def test_minutes_tell_no_change_a_year(model: Model, office: Database, tmp_path: Path) -> None:
+    now = datetime.now(UTC)
+    for at in range(9):
+        moved = partial(noisy, at, turned if at > 4 else np.zeros_like)
+        run = Run(f"r{at}", "north", "HC-1", now - timedelta(minutes=90 - 10 * at), moved=moved,
+                  means_mm={"S300": 0.1 + 0.01 * at}, axes_urad=(2.0, -1.0, 3.0))  # fmt: skip
+        model.write(tmp_path / "runs", run)
+    found = asked_after(office.name, tmp_path / "runs")
+    (robot,) = found["robots"]
+    assert [(each["after"], each["before"]) for each in robot["changes"]] == [("r4", "r5")]
+    assert robot["drift"] == found["stations"] == []
+    (axes,) = (each["axes"] for each in found["instruments"] if each["kind"] == "tracker")
+    reasons = [robot["not_judged"][ARM], *(each["not_judged"] for each in axes)]
+    assert len(reasons) == 4
+    assert all("too short" in each for each in reasons)
+    assert [each["urad_per_year"] for each in axes] == [None] * 3
 
 
 def test_a_monitor_has_an_exit_code_and_a_file(filed: str, tmp_path: Path) -> None:
