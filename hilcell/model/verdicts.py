@@ -741,8 +741,12 @@ class InstrumentChecked(NamedTuple):
 
     @property
     def values(self) -> dict[str, object]:
-        both = {"beyond": "; ".join(self.beyond), "undecided": "; ".join(self.undecided)}
-        return both | {"within": self.within, "count": len(self.undecided)}
+        return {
+            "beyond": "; ".join(self.beyond),
+            "undecided": "; ".join(self.undecided),
+            "within": self.within,
+            "count": len(self.undecided),
+        }
 
     @property
     def text(self) -> str:
