@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import re
+import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -13,7 +14,7 @@ from pathlib import Path
 
 # A thread that was told to end may need a while on a busy PC, and a server to see that its client
 # has gone.
-END_S = 5.0
+END_S = 60.0
 # Kept by a library for its next use.
 POOLED = ("ThreadPoolExecutor", "asyncio_", "execnet", "Dask-Offload")
 NOBODYS = re.compile(r"/dev/|/proc/|anon_inode:|\.pyc|\.ttf|\.so")
@@ -29,10 +30,18 @@ def no_leaks() -> Iterator[None]:
     while (opened := open_files() - files) and time.monotonic() < give_up_s:
         gc.collect()
         time.sleep(0.01)
-    left += sorted(f"file {place}" for _, place in opened)
+    left += sorted(f"file {place}{_ends(number, place)}" for number, place in opened)
     left += [f"process {pid}: {words}" for pid, words in children().items() if pid not in processes]
     if left:
         raise AssertionError("left behind: " + "; ".join(left))
+
+
+def _ends(number: int, place: str) -> str:
+    """Return who talks to whom by a socket."""
+    if place.startswith("socket:"):
+        with socket.socket(fileno=os.dup(number)) as same, suppress(OSError):
+            return f" from {same.getsockname()} to {same.getpeername()}"
+    return ""
 
 
 def _running(before: set[threading.Thread]) -> Iterator[threading.Thread]:

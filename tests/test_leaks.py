@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import subprocess
 import tempfile
 import threading
@@ -29,6 +30,15 @@ def test_an_open_file_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(AssertionError, match=r"file .*hc-leaked"), no_leaks():
         left = tempfile.NamedTemporaryFile(prefix="hc-leaked")  # noqa: SIM115 - it leaks
     left.close()
+
+
+def test_a_socket_is_named_with_its_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.leaks.END_S", 0.01)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        with pytest.raises(AssertionError, match=rf"socket:.* {port}\)"), no_leaks():
+            left = socket.create_connection(("127.0.0.1", port))
+        left.close()
 
 
 @pytest.mark.process

@@ -21,7 +21,9 @@ from hilcell.journal.runs import JOURNAL, read_log
 from hilcell.model.events import NotificationFailed
 from hilcell.run import notify
 from hilcell.run.notify import Notifier, cleaned
+from tests.fakes.rail_bench import until
 from tests.hilcell.report.journals import Writer, plan_record
+from tests.leaks import children
 
 pytestmark = pytest.mark.process
 
@@ -155,10 +157,12 @@ def test_a_command_that_hangs_delays_neither_the_run_nor_its_end(
     monkeypatch.setattr(notify, "END_S", 0.3)
     monkeypatch.setattr(notify, "CLOSING_S", 120.0)  # a loaded PC writes 21 failures slowly
     monkeypatch.setattr(notify, "LIMIT_S", 1e6)  # a record that waits for a command never returns
+    before = children()
     with Session(tmp_path / "r1", command) as session:
         for _ in range(20):
             session.state("paused", reason="x" * 100_000)
             session.state("running")
+        until(lambda: children().keys() - before.keys())  # the first command hangs
         session.ended()
     found = failures(tmp_path / "r1")
     assert [event for event, _ in found] == [*["suspension"] * 20, "end"]
