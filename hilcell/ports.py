@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, field
 from threading import Event
 from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, runtime_checkable
 
@@ -376,11 +376,14 @@ class Inspects(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A device that answers: a line for a person, options of its driver, its identities."""
+    """A device that answers: a line for a person, options of its driver, its identities, and the
+    names of the reflectors that a tracker knows, none where it does not tell them.
+    """
 
     title: str
     options: dict[str, object]
     identities: list[Identity]
+    reflectors: list[str] = field(default_factory=list)
 
 
 @runtime_checkable

@@ -437,11 +437,12 @@ class FindBase(_Proving):
             "controller, and repeat from step controller",
         ):
             return
-        along, turned = np.array(cell.layout.rail_direction), ""
+        along, at = np.array(cell.layout.rail_direction), ""
         direction: dict[str, object] = {}
         if line is not None:
             along = line.direction
-            turned = f", whose direction has U {1e3 * line.U_rad:.2g} mrad (k = 2)"
+            turned = f"whose direction has U {1e3 * line.U_rad:.2g} mrad (k = 2)"
+            at = f" at 0 mm of the rail, {turned}"
             direction = {"layout.rail_direction": [round(float(each), 7) for each in along]}
         T_W_B = cell.tracker.pose.matrix() @ fit.T_L_B
         T_W_B[:3, 3] -= strip_mm * along
@@ -450,8 +451,8 @@ class FindBase(_Proving):
             session,
             "base",
             holds=fit.base_U_mm <= cell.layout.base_tolerance_mm,
-            found=f"x {pose['x_mm']:.1f}, y {pose['y_mm']:.1f}, z {pose['z_mm']:.1f} mm in {{W}} "
-            f"at 0 mm of the rail{turned}; from the tracker U {fit.base_U_mm:.2g} mm, "
+            found=f"x {pose['x_mm']:.1f}, y {pose['y_mm']:.1f}, z {pose['z_mm']:.1f} mm in {{W}}"
+            f"{at}; from the tracker U {fit.base_U_mm:.2g} mm, "
             f"{fit.base_U_deg:.2g} deg (k = 2)",
             expected=f"U <= {cell.layout.base_tolerance_mm:g} mm",
             values={"layout.base": pose} | direction,

@@ -65,6 +65,9 @@ class StationFrames:
         """``validated``: all stations are validated afterwards, on a quick plan framed then."""
         self._validated = validated
 
+    def announced(self, cell: Cell) -> str:
+        return self.moves if cell.has_rail else "nothing"
+
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse nests out of the tracker's range at any station."""
         if not cell.has_rail:

@@ -67,6 +67,9 @@ class Validate:
     measures = "the reflectors on the flange at every target, before and with each correction"
     yields = "mean, p95 and maximum of the position error, and of the orientation's, per station"
 
+    def announced(self, cell: Cell) -> str:
+        return self.moves if cell.has_rail else "the robot to random targets in the cube"
+
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Refuse targets out of reach, and limits that nothing could keep."""
         check_limits(cell)

@@ -166,6 +166,9 @@ class TwoFaces:
         self._number, self.name = (1, "two-face-closing") if at_end else (0, "two-face")
         self._verdict = TWO_FACES[self._number]
 
+    def announced(self, cell: Cell) -> str:
+        return "nothing" if self.left_out(cell) else self.moves
+
     def plan(self, cell: Cell, seed: int) -> PlannedStep:
         """Return the step; skipped where the tracker or the plan does not allow it."""
         if reason := self.left_out(cell):

@@ -180,12 +180,13 @@ class LeicaEmsconTracker:
             tracker._open()
             with closing(tracker):
                 identity = tracker._identity(tracker._system_status())
+                reflectors = [clean(each.name) for each in tracker._reflectors()]
         except (DeviceError, msgspec.ValidationError):
             return []
         options = tracker._options
         place: dict[str, object] = {"host": options.host, "port": options.port}
         title = f"{identity.text}, at {identity.address}"
-        return [Candidate(title, place | {"serial": identity.serial}, [identity])]
+        return [Candidate(title, place | {"serial": identity.serial}, [identity], reflectors)]
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         near_mm = checked_request(near_mm, samples)

@@ -180,9 +180,10 @@ def show(args: Show) -> int:
         return 0
     shown = (
         "procedure", "from", "cell", "simulated", "operator", "job", "seed", "machine_seed",
-        "points", "calibration", "accepted", "sessions", "link", "link_warning", "fault",
+        "points", "stage", "accepted", "sessions", "link", "link_warning", "fault",
         "not_at_rest", "exit",
     )  # fmt: skip
+    summary["stage"] = log.calibration.replace("_", " ")
     rows = [(name, str(summary[name])) for name in shown if summary.get(name) not in ("", None)]
     rows.append(("state", summary["state"]))
     if summary.get("reason") not in ("", summary.get("fault")):

@@ -64,13 +64,14 @@ class WhichDevices:
         self._controller(load_cell(str(self._path)), addresses)
         return [
             Check(
-                what=f"{table} ({self._text.get(f'{table}.driver') or NO_RAIL})",
+                what=f"{table} ({self._text.get(f'{table}.driver')})",
                 found=device.title,
                 expected="a device that answers",
                 holds=True,
                 values={f"{table}.options.{key}": value for key, value in device.options.items()},
             )
             for table, device in found.items()
+            if self._text.get(f"{table}.driver") is not None
         ]
 
     def _simulated(self) -> Addresses:
@@ -80,7 +81,7 @@ class WhichDevices:
             known = "real" if any(self._text.get(table) for table in GROUPS) else ""
             address = known or self._dialogue.ask(
                 "real devices, or a simulated hall (HOST:PORT, as `hilcell sim` prints)?",
-                real_or_address,
+                real_or_hall,
                 REAL,
             )
             if address != REAL:
@@ -110,8 +111,8 @@ class WhichDevices:
             self._text.set(f"{table}.options.{key}", value)
         if table == "tracker":
             self._once(
-                "tracker.reflector", "reflector, by its name in the tracker", word("a name"),
-                "SMR 1.5in",
+                "tracker.reflector", "reflector, by its name in the tracker",
+                one_of(found.reflectors), "SMR 1.5in",
             )  # fmt: skip
         return found
 
@@ -121,20 +122,20 @@ class WhichDevices:
         Without an address the driver lists what it can; a person is asked for one only if that is
         nothing, or if it is something else.
         """
+        askable = not options and ADDRESSES.keys() & option_names(kind)
         if not issubclass(kind, ports.Discovers):
-            options = options or self._address(table, kind)
-            title = ", ".join(f"{key} {value}" for key, value in options.items()) or "none"
-            return ports.Candidate(title, options, [])
+            if askable:
+                return self._elsewhere(table, kind)
+            return ports.Candidate(_words(options) or "none", options, [])
         if options:
             check_values(options, options_of(kind), f"{table}.options")
         candidates = kind.discover(options)
         for each in candidates:
             self._dialogue.say(f"{table}: {each.title}")
-        askable = not options and ADDRESSES.keys() & option_names(kind)
         if not candidates and not askable:
-            where = options or "any address"
             raise HilcellError(
-                f"{table}: no device answers at {where}; check its power, cable and address",
+                f"{table}: no device answers at {_words(options) or 'any address'}; check its "
+                "power, cable and address",
                 code="HC-C40",
             )
         certain = len(candidates) == 1 and (bool(options) or bool(candidates[0].identities))
@@ -145,20 +146,23 @@ class WhichDevices:
         if candidates and not certain:
             taken = self._dialogue.choose(f"{table}: which one?", names)
         if taken == ELSEWHERE:
-            return self.found(table, kind, self._address(table, kind))
+            return self._elsewhere(table, kind)
         chosen = candidates[int(taken) - 1]
         if not options and not chosen.identities:  # a line that was listed, not opened
             return self.found(table, kind, chosen.options)
         return replace(chosen, options=options | chosen.options)
 
-    def _address(self, table: str, kind: type) -> Json:
-        """Ask for a device's host or channel, whichever its driver has."""
-        names = option_names(kind)
-        for key, example in ADDRESSES.items():
-            if key in names:
-                question = f"{table}: {key} (such as {example})?"
-                return {key: self._dialogue.ask(question, word(f"a {key}"))}
-        return {}
+    def _elsewhere(self, table: str, kind: type) -> ports.Candidate:
+        """Ask for a device's host or channel, whichever its driver has, until one answers there."""
+        key = next(each for each in ADDRESSES if each in option_names(kind))
+
+        def at(answer: str) -> ports.Candidate:
+            try:
+                return self.found(table, kind, {key: word(f"a {key}")(answer)})
+            except HilcellError as error:
+                raise ValueError(str(error)) from error
+
+        return self._dialogue.ask(f"{table}: {key} (such as {ADDRESSES[key]})?", at)
 
     def _controller(self, cell: Cell, addresses: Addresses) -> None:
         """Write the tool and the joint limits that the robot's controller states."""
@@ -305,12 +309,37 @@ class WhichDevices:
             self._text.set(path, self._dialogue.ask(question, parse, default))
 
 
+def one_of(names: Sequence[str]) -> Callable[[str], str]:
+    """Return a parser of one of the names, of any where none are known."""
+
+    def parse(answer: str) -> str:
+        if names and answer not in names:
+            raise ValueError(f"expected one of {', '.join(names)}, got {answer!r}")
+        return word("a name")(answer)
+
+    return parse
+
+
 def real_or_address(answer: str) -> str:
     """Return "real", or the HOST:PORT of a simulated hall; raises `ValueError`."""
     host, _, port = answer.rpartition(":")
     if answer == REAL or (host and port.isdecimal()):
         return answer
     raise ValueError(f"expected {REAL}, or HOST:PORT, got {answer!r}")
+
+
+def _words(options: Json) -> str:
+    return ", ".join(f"{key} {value}" for key, value in options.items())
+
+
+def real_or_hall(answer: str) -> str:
+    """Return "real", or the HOST:PORT at which a hall answers; raises `ValueError`."""
+    if real_or_address(answer) != REAL:
+        try:
+            addresses_of(answer)
+        except HilcellError as error:
+            raise ValueError(str(error)) from error
+    return answer
 
 
 def options_of(kind: type) -> type[msgspec.Struct]:

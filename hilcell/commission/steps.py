@@ -24,7 +24,7 @@ from hilcell.commission.first_steps import WhichDevices, ask_the_person, what_de
 from hilcell.commission.page import page_html, page_path
 from hilcell.commission.record import Check, Commissioned, StepRecord
 from hilcell.commission.sequence import ABILITIES, LACKS, Step, steps_of
-from hilcell.errors import DeviceRefused, HilcellError
+from hilcell.errors import EXIT_ABORTED, DeviceRefused, HilcellError
 from hilcell.identity import Identity
 from hilcell.journal.log import Log
 from hilcell.model.verdicts import Proved
@@ -204,14 +204,14 @@ def lines_of(record: StepRecord) -> list[str]:
 
 
 class StepEnded(HilcellError):
-    """The run of a step has ended early; the command ends with its exit code."""
+    """The run of a step was stopped, or has ended early; the command ends with its exit code."""
 
     code = "HC-C40"
 
     def __init__(self, procedure: str, exit_code: int) -> None:
-        super().__init__(
-            f"{procedure} ended early; mend the cause, then the same command goes on with this step"
-        )
+        stopped = exit_code == EXIT_ABORTED
+        ended = "was stopped;" if stopped else "ended early; mend the cause, then"
+        super().__init__(f"{procedure} {ended} the same command goes on with this step")
         self.exit_code = exit_code
 
 

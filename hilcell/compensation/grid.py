@@ -96,7 +96,7 @@ class Grid:
             )
             raise OutsideGrid(
                 f"{len(bad)} of {counted(len(targets), 'target')} outside the calibrated volume "
-                f"{self._text(self.origin_mm)} .. {self._text(self.far_mm)} mm: {named}"
+                f"{self._text(self.origin_mm)} .. {self._text(self.far_mm)} mm in {{B}}: {named}"
                 f"{', ...' if len(bad) > NAMED else ''}; move them, or calibrate a larger volume"
             )
 

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from hilcell.decoding import Json
 from hilcell.journal.log import Log
 from hilcell.language import date_text, tr
-from hilcell.model.events import Event, OtherEvent, StepBegun
+from hilcell.model.events import Event, OtherEvent, StationAlreadyHeld, StepBegun
 from hilcell.model.point import CHECKS, HOLDS, KINDS, SEAT, SIDES, PointId
 from hilcell.model.verdicts import OTHERS, VALIDATION, verdict_title
 
@@ -112,9 +112,11 @@ def step_label(name: str, *, has_rail: bool) -> str:
 
 def event_label(event: Event | OtherEvent, log: Log) -> str:
     """Return an event's text with labels; "" for none."""
+    has_rail = log.plan is None or log.cell.has_rail
     if isinstance(event, StepBegun):
-        has_rail = log.plan is None or log.cell.has_rail
         return replace(event, name=step_label(event.name, has_rail=has_rail)).text
+    if isinstance(event, StationAlreadyHeld) and not has_rail:
+        return ""
     return with_labels(event.text, log)
 
 

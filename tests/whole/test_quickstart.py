@@ -39,11 +39,13 @@ def test_the_page_is_typed(tmp_path: Path) -> None:
     )
     with sim_command(*shlex.split(shop)[2:], "--ports", "robot=0,tracker=0,control=0") as shop_cell:
         assert typed(files, tmp_path).returncode == 0
-        answers = ["HC-7", shop_cell.control, "kuka-c3", "leica-emscon", "", "floor", ""]
+        answers = ["HC-7", shop_cell.control, "kuka-c3", "leica-emscon", "foo", "", "floor", ""]
         yes = ["y"] * 60
         done = typed(quickstart, tmp_path, "\n".join([*answers, *yes, ""]))
     assert done.returncode == 0, done.stderr[-3000:]
     assert "IN TOLERANCE" in done.stderr
+    assert re.search(r"expected one of .*SMR 1\.5in.*, got 'foo'", done.stderr)
+    assert not re.findall(r"\b(rail|slide|None)\b|\{'", done.stderr)
     file = tmp_path / shlex.split(quickstart)[2]
     cell = load_cell(str(file))
     assert {each.name for each in cell.keep_out} == {"floor", "tracker"}

@@ -171,6 +171,9 @@ def test_what_show_prints_fits_the_terminal(runs: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(console, "terminal_columns", lambda: 60)
     lines = command("show", "1-made", "--runs", runs).stdout.splitlines()
     assert max(map(len, lines)) <= 60
+    names = [line.split("│")[1].strip() for line in lines if line.startswith("│")]
+    assert "stage" in names
+    assert "calibration" not in names  # that is what has been measured, not its status
 
 
 @pytest.mark.parametrize(

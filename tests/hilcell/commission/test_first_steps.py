@@ -17,8 +17,10 @@ from hilcell.commission.first_steps import (
     WhichDevices,
     drawing,
     nest_count,
+    one_of,
     radii,
     real_or_address,
+    real_or_hall,
     taught_names,
     volume_list,
 )
@@ -118,12 +120,28 @@ def test_a_maker_whose_robots_are_not_known_needs_rows_in_the_file() -> None:
     work.kinematics([])
 
 
-def test_an_address_where_nothing_answers_is_refused() -> None:
-    lines: Queue[str | None] = Queue()
-    lines.put("can1")
-    work = WhichDevices(Path("hall.toml"), CellText(), TypedDialogue(lines, lambda _: None))
-    with pytest.raises(HilcellError, match=r"no device answers at \{'channel': 'can1'\}"):
-        work.found("rail", rail([], BUSES), {})
+def test_an_address_where_nothing_answers_is_asked_for_again() -> None:
+    lines, said = Queue[str | None](), list[str]()
+    for line in ("can1", "can0"):
+        lines.put(line)
+    work = WhichDevices(Path("hall.toml"), CellText(), TypedDialogue(lines, said.append))
+    assert work.found("rail", rail([], BUSES), {}) == BUS
+    assert [each for each in said if "no device answers at channel can1; check" in each]
+
+
+def test_a_hall_that_does_not_run_is_asked_for_again() -> None:
+    with pytest.raises(ValueError, match=r"127\.0\.0\.1:9"):
+        real_or_hall("127.0.0.1:9")
+    assert real_or_hall("real") == "real"
+
+
+def test_a_reflector_is_one_that_the_tracker_knows() -> None:
+    with pytest.raises(ValueError, match=r"one of SMR 0\.5in, SMR 1\.5in, got 'foo'"):
+        one_of(["SMR 0.5in", "SMR 1.5in"])("foo")
+    assert one_of(["SMR 1.5in"])("SMR 1.5in") == "SMR 1.5in"
+    assert one_of([])("foo") == "foo"  # the tracker does not tell them
+    with pytest.raises(ValueError, match="expected a name"):
+        one_of([])("")
 
 
 @pytest.mark.parametrize(

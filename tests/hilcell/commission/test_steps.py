@@ -18,6 +18,7 @@ from hilcell.commission.record import Check, Commissioned, StepRecord
 from hilcell.commission.sequence import NAMES, STEPS, Step
 from hilcell.commission.steps import (
     Commissioning,
+    StepEnded,
     check_proved,
     motions,
     steps_to_perform,
@@ -180,6 +181,25 @@ def test_the_question_names_every_motion_and_the_speeds(step: Step) -> None:
         on_the_floor = motions(load_cell("fixed"), procedure)
         assert "the slide at" not in on_the_floor
         assert step.of_rail or "  the slide" not in on_the_floor
+
+
+def test_a_calibration_of_a_robot_on_the_floor_moves_no_slide() -> None:
+    by_hand = load_cell("fixed", {"layout.reflectors": "by_hand"})
+    question = motions(by_hand, load_entry("procedures", "calibrate"))
+    assert "slide" not in question
+    assert "  the robot to random targets in the cube (needs" in question
+    assert "tracker's head" not in question  # nobody turns it over
+    assert "tracker's head" in motions(load_cell("fixed"), load_entry("procedures", "calibrate"))
+
+
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [(4, "was stopped; the same command goes on"), (3, "mend the cause, then the same command")],
+)
+def test_a_run_that_was_stopped_has_no_cause_to_mend(code: int, words: str) -> None:
+    ended = StepEnded("commission-base", code)
+    assert ended.exit_code == code
+    assert words in str(ended)
 
 
 def test_the_question_says_how_far_and_where_to() -> None:

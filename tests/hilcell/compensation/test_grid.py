@@ -46,7 +46,8 @@ def test_outside_names_the_targets_and_by_how_much() -> None:
         [GRID.origin_mm, GRID.far_mm + np.array([3, 4, 0]), GRID.origin_mm - np.array([0, 0, 0.25])]
     )
     with pytest.raises(
-        OutsideGrid, match=r"2 of 3 targets .* target 2 by 5\.000 mm \(at .*target 3 by 0\.250 mm"
+        OutsideGrid,
+        match=r"2 of 3 targets .* mm in \{B\}: target 2 by 5\.000 mm \(at .*target 3 by 0\.250 mm",
     ):
         GRID.check_inside(targets)
     with pytest.raises(OutsideGrid, match="H2"):

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from datetime import timedelta, timezone
+from pathlib import Path
 
+import msgspec
 import pytest
 
+from hilcell.cell.file import load_cell
 from hilcell.journal.labels import (
+    event_label,
     in_zone,
     local_time_text,
     period_text,
@@ -15,6 +19,9 @@ from hilcell.journal.labels import (
     zone_of,
 )
 from hilcell.journal.log import Log
+from hilcell.journal.runs import read_log
+from hilcell.model.events import StationAlreadyHeld
+from tests.hilcell.report.journals import Writer
 from tests.hilcell.tui.sample_runs import measuring
 
 
@@ -39,6 +46,13 @@ def test_keys_become_words(log: Log) -> None:
 def test_a_key_of_no_known_form_is_no_error(log: Log, text: str) -> None:
     assert with_labels(text, log)
     assert with_labels(text, Log())
+
+
+def test_a_robot_on_the_floor_has_no_rail_that_was_held(tmp_path: Path) -> None:
+    held = StationAlreadyHeld(station="S1")
+    assert event_label(held, read_log(Writer(tmp_path / "a").left())) == "rail found held at S1"
+    on_floor = msgspec.to_builtins(load_cell("fixed"))
+    assert event_label(held, read_log(Writer(tmp_path / "b", cell=on_floor).left())) == ""
 
 
 T = "2026-03-04T23:30:05.250+00:00"
