@@ -11,6 +11,8 @@ from pathlib import Path
 
 from campaigns.faults.cell import ThreadedCell
 from campaigns.faults.phases import Event
+from drivers.abb import robot_egm as abb_robot
+from drivers.abb.http_channel import HttpChannel
 from drivers.canopen import drive, nodes
 from drivers.kuka import robot as kuka_robot
 from drivers.leica.tracker_emscon import LeicaEmsconTracker
@@ -34,6 +36,9 @@ QUICK = {
 SHORT: tuple[tuple[object, str, float], ...] = (
     (nodes, "FIND_S", 0.5),
     (drive.Drive, "STALL_S", 1.0),
+    (abb_robot, "STALL_S", 1.0),
+    (abb_robot, "REST_S", 1.0),
+    (HttpChannel, "ANSWER_S", 1.0),
     (kuka_robot, "STALL_S", 1.0),
     (kuka_robot, "REST_S", 1.0),
     (LeicaEmsconTracker, "RESULT_S", 0.5),

@@ -37,10 +37,10 @@ class _Proxied(Host):
 
 
 class ThreadedCell:
-    """The paper's cell on fakes that serve from threads of this process."""
+    """A built-in cell on fakes that serve from threads of this process."""
 
-    def __init__(self, *, proxied: bool = False, seed: int = 1) -> None:
-        cell = msgspec.to_builtins(load_cell("paper"))
+    def __init__(self, name: str = "paper", *, proxied: bool = False, seed: int = 1) -> None:
+        cell = msgspec.to_builtins(load_cell(name))
         order = Order(cell={k: v for k, v in cell.items() if v is not None}, seed=seed, truth=True)
         self._host = _Proxied(order) if proxied else Host(order)
         self._thread = threading.Thread(target=self._host.run)

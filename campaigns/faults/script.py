@@ -31,6 +31,8 @@ class Case:
     injection: Injection
     phase: Phase
     procedure: str = "base-frame"
+    cell: str = "paper"
+    seed: int = 1  # of the simulated machine
 
 
 @dataclass
@@ -64,7 +66,7 @@ def limited(limit_s: int) -> Iterator[None]:
 
 def play(case: Case) -> Ran:
     injection = case.injection
-    with _bed(case.procedure, (injection,)) as bed:
+    with _bed(case.procedure, (injection,), case.cell, case.seed) as bed:
         script = _Script(bed, case)
         script.perform()
         return _resumed(bed, (injection,), struck=script.struck)
@@ -90,12 +92,15 @@ def play_struck(
 
 
 @contextmanager
-def _bed(procedure: str, injections: Sequence[Injection]) -> Iterator[Bed]:
+def _bed(
+    procedure: str, injections: Sequence[Injection], name: str = "paper", seed: int = 1
+) -> Iterator[Bed]:
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="faults-")))
         proxied = any(each.proxied for each in injections)
-        cell = stack.enter_context(ThreadedCell(proxied=proxied))
+        cell = stack.enter_context(ThreadedCell(name, proxied=proxied, seed=seed))
         bed = Bed(folder, cell, procedure, apart=any(each.apart for each in injections))
+        bed.cell_file = name
         if any(each.cell_file for each in injections):
             bed.cell_file = str(folder / "cell.toml")
             Path(bed.cell_file).write_text(PAPER.read_text("utf-8"), "utf-8")

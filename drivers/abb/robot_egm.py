@@ -563,7 +563,15 @@ class AbbEgmRobot:
         try:
             self.check_panel(moving=self._moving)
             services = self.services()
-            found += self._event(services)
+            if event := self._event(services):
+                code = EVENTS.get(event[2:].partition(":")[0], "HC-B14")
+                return ROBOT.failed(
+                    code,
+                    "move",
+                    found + event,
+                    expected="no error in the event log",
+                    act="read the event at the pendant and remove its cause",
+                )
             if holder := services.holder():
                 found += f"; mastership is held by: {holder}"
                 return ROBOT.failed("HC-B83", "move", found, expected="mastership")
@@ -694,6 +702,7 @@ class AbbEgmRobot:
 
 
 STATES = {"guardstop": "HC-B11", "emergencystop": "HC-B10", "emergencystopreset": "HC-B10"}
+EVENTS = {"event 50027": "HC-B20"}  # joint out of range; others: HC-B14
 PANEL = {"HC-B10", "HC-B11", "HC-B12", "HC-B13", "HC-B16", "HC-B84"}
 
 

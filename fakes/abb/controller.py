@@ -56,6 +56,7 @@ class AbbController:
         self._running = self._in_motion = self._frozen = self._acknowledge_lost = False
         self.log: list[tuple[int, int, str]] = []  # type, code, title; the newest last
         self._stale: Array | None = None
+        self._stamp_s = 0.0  # time of the newest position
         self.restore()
 
     def restore(self) -> None:
@@ -98,6 +99,8 @@ class AbbController:
             if strikes("robot.deselected"):  # a person at the pendant moves the program pointer
                 self.pendant_has_mastership = True
                 self._stop_program(10125, "Program stopped", STATE)
+            if strikes("robot.mastership_taken"):
+                self.pendant_has_mastership = True
             if strikes("robot.restarted"):
                 self._end_program()
                 self.panel, self._state = "init", [0] * 6
@@ -180,6 +183,8 @@ class AbbController:
         """Return the controller's time and joints (6,) in deg, as resolvers measure them."""
         with self._lock:
             now_s = self._time.now_s()
+            if not self._faults.strikes("robot.stream_time"):
+                self._stamp_s = now_s
             state = self._motion.state(now_s)
             joints_rad = state.joints_rad
             if not state.moving:
@@ -195,7 +200,7 @@ class AbbController:
             bad = self._faults.take("robot.bad_number")
             if bad is not None:
                 joints_deg = np.array([float(bad), *joints_deg[1:]])
-            return now_s, joints_deg
+            return self._stamp_s, joints_deg
 
     @property
     def motors_on(self) -> bool:
@@ -205,12 +210,18 @@ class AbbController:
 
     def _look(self) -> None:
         """Let what happens to a motion happen, and advance it."""
-        strikes = partial(self._faults.strikes, moving=self._motion.axes_moving)
+        moving = self._motion.axes_moving
+        strikes = partial(self._faults.strikes, moving=moving)
         if strikes("robot.vanish"):
             raise Vanished
         if strikes("robot.e_stop"):
             self.panel = "emergencystop"
             self._stop_program(10013, "Emergency stop state", STATE)
+        if strikes("robot.motors_off"):
+            self.panel = "motoroff"
+            self._stop_program(10010, "Motors OFF state", STATE)
+        if (ratio := self._faults.take("robot.speed_ratio", moving=moving)) is not None:
+            self.set_ratio(float(ratio))
         if strikes("robot.stopmess"):
             self._stop_program(50204, "Motion supervision")
         if strikes("robot.override_zero"):

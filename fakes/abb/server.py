@@ -507,6 +507,7 @@ class Stream:
     PACED_S, STEPPED_S = 0.004, 0.002  # between two datagrams; the PC waits for them in the latter
 
     def __init__(self, site: Site, controller: AbbController) -> None:
+        self._faults = site.faults
         self._controller, self._closing = controller, threading.Event()
         self._every_s = self.STEPPED_S if site.time.stepped else self.PACED_S
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -540,6 +541,8 @@ class Stream:
                 number = 0
                 continue
             number += 1
+            if silent_s := self._faults.amount("robot.stream_silent"):
+                self._closing.wait(silent_s)
             time_s, joints_deg = self._controller.measured()
             datagram = egm_robot(
                 number,
@@ -558,6 +561,9 @@ class Stream:
                 with contextlib.suppress(OSError):  # nobody listens
                     self._socket.sendto(each, (HOST, self.port))
             held = b""
+            if self._faults.strikes("robot.second_stream"):
+                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+                    other.sendto(datagram, (HOST, self.port))
 
 
 class AbbServer(Server):

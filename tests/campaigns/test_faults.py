@@ -8,8 +8,8 @@ import pytest
 
 from campaigns.__main__ import main
 from campaigns.faults.bed import hasten
-from campaigns.faults.campaign import cases, judge_case
-from campaigns.faults.injections import Injection, Knob
+from campaigns.faults.campaign import TABLES, cases, judge_case
+from campaigns.faults.injections import Knob
 from campaigns.faults.judging import judged
 from campaigns.faults.page import PAGE
 from campaigns.faults.phases import Event, Phase
@@ -18,28 +18,26 @@ from campaigns.faults.table import FAULTS
 from tests.whole.bench import sweep
 
 SOME = [
-    (Knob("robot.e_stop", count=1), 46, Phase.PAUSED, "safe stop HC-B10"),
-    (Knob("rail.emcy", 0x4210, 1), 11, Phase.TEARDOWN, "stopped"),
+    (Case(46, Knob("robot.e_stop", count=1), Phase.PAUSED), "safe stop HC-B10"),
+    (Case(11, Knob("rail.emcy", 0x4210, 1), Phase.TEARDOWN), "stopped"),
+    (Case(2, Knob("robot.deselected", count=1), Phase.ROBOT, cell="abb"), "safe stop HC-B83"),
     *sweep(
-        (Knob("tracker.beam_break_after", count=6), 29, Phase.MEASURING, "suspended, went on"),
-        (Knob("tracker.beam_break_after"), 29, Phase.PAUSED, "safe stop HC-T10"),
-        (Knob("rail.node_reset", 5, 1), 10, Phase.ROBOT, "safe stop HC-R03"),
-        (Knob("robot.bad_number", "1e308"), 44, Phase.RESUMING, "safe stop HC-B26"),
+        (
+            Case(29, Knob("tracker.beam_break_after", count=6), Phase.MEASURING),
+            "suspended, went on",
+        ),
+        (Case(29, Knob("tracker.beam_break_after"), Phase.PAUSED), "safe stop HC-T10"),
+        (Case(10, Knob("rail.node_reset", 5, 1), Phase.ROBOT), "safe stop HC-R03"),
+        (Case(44, Knob("robot.bad_number", "1e308"), Phase.RESUMING), "safe stop HC-B26"),
     ),
 ]
 
 
 @pytest.mark.wall
-@pytest.mark.parametrize(("injection", "number", "phase", "reaction"), SOME)
-def test_a_fault_in_a_phase(
-    injection: Injection,
-    number: int,
-    phase: Phase,
-    reaction: str,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+@pytest.mark.parametrize(("case", "reaction"), SOME)
+def test_a_fault_in_a_phase(case: Case, reaction: str, monkeypatch: pytest.MonkeyPatch) -> None:
     hasten(monkeypatch.setattr)
-    verdict = judge_case(Case(number, injection, phase))
+    verdict = judge_case(case)
     assert verdict.problems == ()
     assert verdict.reaction == reaction
 
@@ -73,10 +71,11 @@ def test_the_end_of_a_run_is_judged(
 
 
 def test_the_table_is_in_order_and_its_cases_are_distinct() -> None:
-    numbers = [fault.number for fault in FAULTS]
-    assert numbers == sorted(set(numbers))
-    everything = list(cases())
-    assert len(set(everything)) == len(everything)
+    for cell, table in TABLES.items():
+        numbers = [fault.number for fault in table]
+        assert numbers == sorted(set(numbers))
+        everything = list(cases(cell=cell))
+        assert len(set(everything)) == len(everything)
 
 
 def test_the_page_is_of_this_table() -> None:

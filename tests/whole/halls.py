@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import tomlkit
 from scipy.spatial.transform import Rotation
@@ -89,12 +90,25 @@ def _stated(value: Any) -> Any:
     return [_stated(each) for each in value] if isinstance(value, list) else value
 
 
+def hall_with(robot_of: str, file: Path) -> Path:
+    """Write the cell file about which halls are drawn with the robot of another built-in cell."""
+    tables, other = (msgspec.to_builtins(load_cell(each)) for each in ("unknown", robot_of))
+    tables |= {"robot": other["robot"], "base_frame": other["base_frame"]}
+    tables["simulation"]["machine"] = other["simulation"]["machine"]
+    return write_cell(tables, file)
+
+
 @contextmanager
 def unknown_hall(
-    folder: Path, seed: int = 7, *, trap: str = "", speed: str = "max"
+    folder: Path,
+    seed: int = 7,
+    *,
+    cell: str | Path = "unknown",
+    trap: str = "",
+    speed: str = "max",
 ) -> Iterator[Hall]:
     """Run ``hilcell sim --cell unknown`` at free ports, with its truth."""
-    words = ["--cell", "unknown", "--seed", str(seed), "--speed", speed, "--truth"]
+    words = ["--cell", str(cell), "--seed", str(seed), "--speed", speed, "--truth"]
     words += ["--sheet", str(folder), "--ports", FREE_PORTS]
     words += ["--trap", trap] if trap else []
     with sim_command(*words) as simulation:
@@ -205,7 +219,7 @@ def calibrated(file: Path) -> Calibrated:
     words = ("--cell", file, "--calibration", "first", "-o", out, *runs)
     prepared = hilcell("prepare", drawing, *words)
     problems = [*_unsound(file.parent / "runs")]
-    if prepared.returncode or not list(out.glob("*.src")):
+    if prepared.returncode or not [*out.glob("*.src"), *out.glob("*.mod")]:
         problems.append(f"prepare {prepared.returncode}: {last_words(prepared.stderr)}")
     return Calibrated(float(said[1]), float(said[2]), problems)
 

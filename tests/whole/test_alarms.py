@@ -31,6 +31,7 @@ CELLS: Mapping[str, Mapping[str, str]] = {
     "E1": {"rail.driver": "kuka-e1"},
     "GeoCOM": TOTAL_STATION,
     "T2SA": {"tracker.driver": "t2sa", "tracker.options.points": POINTS},
+    "ABB": {"robot.driver": "abb-egm", "robot.options.model": "KR"},
 }
 Ends = Mapping[str, tuple[str, object]]
 
@@ -112,6 +113,15 @@ ENDS: Mapping[str, Ends] = {
         "robot.no_end": ("HC-B49", True),
         "robot.late_reply": ("HC-B02", 3.0),
         "robot.vanish": ("HC-B01", True),
+    },
+    "ABB": {
+        "robot.deselected": ("HC-B83", True),
+        "robot.mastership_taken": ("HC-B83", True),
+        "robot.motors_off": ("HC-B13", True),
+        "robot.speed_ratio": ("HC-B84", 3.0),
+        "robot.stream_silent": ("HC-B85", 6.0),
+        "robot.stream_time": ("HC-B26", True),
+        "robot.second_stream": ("HC-B85", True),
     },
     "E1": {
         "robot.no_slide": ("HC-R50", True),

@@ -20,6 +20,7 @@ from tests.whole.halls import (
     calibrated,
     commission,
     commissioned,
+    hall_with,
     least_clearance_mm,
     unknown_hall,
 )
@@ -89,6 +90,17 @@ def test_a_hall_is_commissioned_and_calibrated(seed: int, tmp_path: Path) -> Non
         assert commissioned(hall, tmp_path / "mycell.toml").problems == []
         assert calibrated(tmp_path / "mycell.toml").problems == []
         assert least_clearance_mm(hall, tmp_path / "runs" / "first") > CLEAR_MM
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", [24, 26])  # no hall with a coupled axis 3, which this robot lacks
+def test_a_hall_with_a_robot_of_abb_is_commissioned_and_calibrated(
+    seed: int, tmp_path: Path
+) -> None:
+    cell = hall_with("abb", tmp_path / "unknown.toml")
+    with unknown_hall(tmp_path / "hall", seed, cell=cell) as hall:
+        assert commissioned(hall, tmp_path / "mycell.toml").problems == []
+        assert calibrated(tmp_path / "mycell.toml").problems == []
 
 
 @pytest.mark.nightly
