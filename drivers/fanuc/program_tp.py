@@ -154,14 +154,17 @@ class Position:
             raise TpError(
                 f"P[{self.index}] states motion groups {groups}: expected the robot's alone, GP1"
             )
-        begin = heads[0].end()
+        behind, left = heads[0].end(), ""
         found: dict[str, Number] = {}
-        for match in _FIELD.finditer(self.text, begin):
-            if match[1].upper() in found:
+        for match in _FIELD.finditer(self.text, behind):
+            name, text = match[1].upper(), match[2]
+            if name in found:
                 raise TpError(f"P[{self.index}] states {match[1]} twice")
             at = self.start + match.start(2)
-            found[match[1].upper()] = Number(match[2], at, at + len(match[2]))
-        if left := _FIELD.sub("", self.text[begin:]).strip(" \t\r\n,"):
+            found[name] = Number(text, at, at + len(text))
+            left += self.text[behind : match.start()]
+            behind = match.end()
+        if left := (left + self.text[behind:]).strip(" \t\r\n,"):
             raise TpError(f"P[{self.index}]: {clean(left)[:40]} is not understood")
         if any("*" in each.text for each in found.values()):
             raise TpError(f"P[{self.index}] is not taught: its values are {'*' * 8}")
@@ -181,13 +184,15 @@ _CONFIG = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A Cartesian position that motions use. ``frame`` and ``tool``: UF and UT; None is ``F``, the
+    """A Cartesian position that motions use. ``posture``: the letters of
+    CONFIG; ``frame`` and ``tool``: UF and UT; None is ``F``, the
     one in force. ``external``: values and units of external axes.
     """
 
     position: Position
     numbers: Mapping[str, Number] = field(repr=False)
     config: str
+    posture: str
     frame: int | None
     tool: int | None
     external: Mapping[str, tuple[float, str]]
@@ -222,12 +227,7 @@ class Target:
         known = {*POSE, "UF", "UT", "CONFIG", *external}
         if other := [each for each in fields if each not in known]:
             raise TpError(f"{name} states {', '.join(other)}, which hilcell does not read")
-        return cls(position, numbers, config, frame, tool, external)
-
-    @property
-    def posture(self) -> str:
-        """Return the letters of its CONFIG."""
-        return "".join(each for each in self.config if each.isupper())
+        return cls(position, numbers, config, "".join(match.group(1, 2, 3)), frame, tool, external)
 
     @staticmethod
     def _numbered(name: str, key: str, text: str) -> int | None:

@@ -40,20 +40,14 @@ from hilcell.cell.settings import SettingsError
 from hilcell.compensation import programs
 from hilcell.compensation.programs import StatedTool, StationProgram
 from hilcell.compensation.targets import Stamp
-from hilcell.geometry.frames import (
-    from_rotvec,
-    from_zyx,
-    matrix,
-    poses_from_zyx,
-    to_rotvec,
-    zyx_from_pose,
-)
+from hilcell.geometry.frames import from_rotvec, from_zyx, matrix, to_rotvec, zyx_from_pose
 from hilcell.ports import Array, HilcellError
 from hilcell.sanitize import clean
 
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 POSE = re.compile(r"p\[\s*" + r"\s*,\s*".join(f"({NUMBER})" for _ in range(6)) + r"\s*\]", re.ASCII)
 _QUIET = re.compile(r"\"[^\"]*\"|#.*")
+_SIGN = re.compile(r"[\[\](),]")
 
 
 class UrScriptError(HilcellError):
@@ -89,18 +83,18 @@ def statements(text: str) -> Iterator[Statement]:
 
 def split(text: str) -> list[str]:
     """Split arguments at commas outside of all brackets; raises `UrScriptError`."""
-    parts, depth = [""], 0
-    for sign in text:
+    parts, depth, begin = list[str](), 0, 0
+    for match in _SIGN.finditer(text):
+        sign = match.group()
         depth += (sign in "([") - (sign in ")]")
         if depth < 0:
             break
         if sign == "," and not depth:
-            parts.append("")
-        else:
-            parts[-1] += sign
+            parts.append(text[begin : match.start()])
+            begin = match.end()
     if depth:
         raise UrScriptError("its brackets do not close on its line")
-    return parts
+    return [*parts, text[begin:]]
 
 
 def pose(text: str, start: int) -> list[Number] | None:
@@ -184,13 +178,14 @@ class Program(programs.Program):
         if remark:
             first = next(statements(self.text))
             edits.append(line_below(self.text, first.start, f"  # {plain(remark, ASCII)}"))
-        for target, position in zip(self.targets, positions, strict=True):
-            numbers = list(position[:3] / MM)
-            if len(position) > 3:
-                numbers += _nearest(position, np.array(target.values[3:]))
+        rows = positions[:, :3] / MM
+        if positions.shape[1] > 3:
+            before_rad = np.array([target.values[3:] for target in self.targets])
+            rows = np.hstack([rows, _nearest(positions, before_rad)])
+        for target, row in zip(self.targets, rows.tolist(), strict=True):
             edits += [
-                Edit(each.start, each.end, formatted(float(value), each.text, DECIMALS))
-                for each, value in zip(target.numbers, numbers, strict=False)
+                Edit(each.start, each.end, formatted(value, each.text, DECIMALS))
+                for each, value in zip(target.numbers, row, strict=False)
             ]
         return {self.file: edited(self.text, edits).encode(ENCODING)}
 
@@ -201,13 +196,19 @@ def _frames(poses: list[list[float]]) -> Array:
     return matrix(from_rotvec(rows[:, 3:]), MM * rows[:, :3])
 
 
-def _nearest(position: Array, before_rad: Array) -> list[float]:
-    """Return the rotation vector of a pose (6,): of the two that mean it, the nearer one."""
-    vector = to_rotvec(poses_from_zyx(position[None])[0, :3, :3])
-    angle = float(np.linalg.norm(vector))
-    other = vector * (1.0 - 2.0 * np.pi / angle) if angle else vector
-    nearer = min((vector, other), key=lambda each: float(np.linalg.norm(each - before_rad)))
-    return list(nearer)
+def _nearest(positions: Array, before_rad: Array) -> Array:
+    """Return rotation vectors (N, 3) of poses (N, 6): of the two that mean one, the nearer to
+    ``before_rad``.
+    """
+    vectors = to_rotvec(from_zyx(positions[:, 3:]))
+    angles = np.linalg.norm(vectors, axis=1, keepdims=True)
+    others = vectors * (
+        1.0 - np.divide(2.0 * np.pi, angles, out=np.zeros_like(angles), where=angles > 0.0)
+    )
+    off_rad, other_off_rad = (
+        np.linalg.norm(each - before_rad, axis=1) for each in (vectors, others)
+    )
+    return np.where((off_rad <= other_off_rad)[:, None], vectors, others)
 
 
 def read_program(file: str, text: str) -> Program:

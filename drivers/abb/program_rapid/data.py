@@ -2,7 +2,7 @@
 
 Comments, the header between ``%%%`` and a byte order mark are left out. Names ignore case; a string
 has its quotes doubled; a statement may go over several lines. A row of numbers, ``[1.0,2.0]``, is
-one token, whose numbers are replaced byte for byte.
+one token, whose numbers are replaced byte for byte; a list of rows is one token too.
 
 Sources: Technical reference manual, RAPID Overview (lexical elements, statements, routines) and
 RAPID Instructions, Functions and Data types (robtarget, confdata, wobjdata, tooldata), 3HAC050917.
@@ -23,13 +23,15 @@ from drivers.program_text import CLOSES, MARK, OPENS, Number, Token, split
 from hilcell.ports import HilcellError
 
 NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_ROW = r"\[[\d.eE+\-,\s]*\]"
 _TOKEN = re.compile(
-    rf"""(?P<skip>\A{MARK}|\s+|![^\n]*|%%%[^%]*%%%)
-      | (?P<row>\[[\d.eE+\-,\s]*\])
+    rf"""\s*(?:(?P<skip>\A{MARK}|![^\n]*|%%%[^%]*%%%)
+      | (?P<row>{_ROW})
+      | (?P<rows>\[\s*{_ROW}(?:\s*,\s*{_ROW})*\s*\])
       | (?P<string>"(?:[^"\n]|"")*")
       | (?P<number>{NUMBER})
       | (?P<word>[^\W\d]\w*)
-      | (?P<sign>:=|<>|<=|>=|.)""",
+      | (?P<sign>:=|<>|<=|>=|\S))""",
     re.VERBOSE,
 )
 
@@ -65,10 +67,10 @@ OPERATORS = ("AND", "OR", "XOR", "NOT", "DIV", "MOD")
 
 def statements(text: str) -> Iterator[Sequence[Token]]:
     found = [
-        Token(kind, part, match.start(), part.upper() if kind == "word" else "")
+        Token(kind, part, match.end() - len(part), part.upper() if kind == "word" else "")
         for match in _TOKEN.finditer(text)
         if (kind := str(match.lastgroup)) != "skip"
-        for part in [match.group()]
+        for part in [match[kind]]
     ]
     at = 0
     while at < len(found):
@@ -177,6 +179,10 @@ def structure(tokens: Sequence[Token]) -> object:
     """Return a literal: a row as its token, a list of values, or a tuple of tokens for all else."""
     if len(tokens) == 1 and tokens[0].kind == "row":
         return tokens[0]
+    if len(tokens) == 1 and tokens[0].kind == "rows":
+        begin, text = tokens[0].start, tokens[0].text
+        found = re.compile(_ROW).finditer(text, 1)
+        return [Token("row", each.group(), begin + each.start(), "") for each in found]
     if not tokens or tokens[0].text != "[" or closing(tokens, 0) != len(tokens) - 1:
         return tuple(tokens)
     return [structure(part) for part in split(tokens[1:-1], ",")]
@@ -196,13 +202,9 @@ def floats(value: object, count: int, what: str) -> list[float]:
 def row(value: Token, count: int, what: str) -> list[Number]:
     """Return the numbers of a row; raises `RapidError`."""
     floats(value, count, what)
-    at, found = value.start + 1, list[Number]()
-    for part in value.text[1:-1].split(","):
-        text = part.strip()
-        start = at + part.index(text)
-        found.append(Number(text, start, start + len(text)))
-        at += len(part) + 1
-    return found
+    at = value.start
+    parts = re.finditer(r"[^\[\],\s]+", value.text)
+    return [Number(each.group(), at + each.start(), at + each.end()) for each in parts]
 
 
 @dataclass(frozen=True, slots=True)

@@ -328,7 +328,7 @@ class _Reader:
     ) -> list[str]:
         """Return the keys of the robtargets that a name may mean, as they are added."""
         name, start = tokens[0].word, tokens[0].start
-        if tokens[0].text == "[":
+        if tokens[0].text == "[" or tokens[0].kind == "rows":
             key = f"@:{start}"
             self._keep(key, "target", self._module.line(start), structure(tokens))
             return [key]

@@ -2,7 +2,8 @@
 
 A statement is a line; comments, ``&`` headers and a byte order mark are left out. Tokens have
 positions, so that a number can be replaced byte for byte. ``;`` within a string starts no comment,
-and names ignore case. Points are aggregates ``{X 1.0,Y 2.0,...}``.
+and names ignore case. Points are aggregates ``{X 1.0,Y 2.0,...}``; one whose components are plain
+values is one token, of the kind "structure".
 
 The trap: a component that an aggregate leaves out keeps its value from the motion before, so that
 such a target is relative in disguise.
@@ -21,11 +22,16 @@ from drivers.kuka.krl import POSE
 from drivers.program_text import MARK, Number, Token, split
 from hilcell.ports import HilcellError
 
+_NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_STRING = r"'[^'\n]*'"
+_COMPONENT = rf"[^\S\n]*([A-Za-z]\w*)(?:[^\S\n]+|(?=[-+']))([-+]?{_NUMBER}|{_STRING})[^\S\n]*"
+_COMPONENTS = re.compile(_COMPONENT, re.ASCII)
 _TOKEN = re.compile(
     rf"""(?P<skip>\A{MARK}(?:&[^\n]*)?|^&[^\n]*|;[^\n]*|[^\S\n]+)
       | (?P<end>\n)
-      | (?P<string>"[^"\n]*"|'[^'\n]*')
-      | (?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)
+      | (?P<string>"[^"\n]*"|{_STRING})
+      | (?P<number>{_NUMBER})
+      | (?P<structure>\{{(?:[^\S\n]*[A-Za-z]\w*[^\S\n]*:)?{_COMPONENT}(?:,{_COMPONENT})*\}})
       | (?P<word>[\#$]?[A-Za-z_$][\w$]*)
       | (?P<sign>==|<=|>=|<>|.)""",
     re.VERBOSE | re.ASCII | re.MULTILINE,
@@ -54,13 +60,16 @@ class Statement:
 
     @property
     def is_at_any_time(self) -> bool:
-        return any(token.word in ("INTERRUPT", "TRIGGER") for token in self.tokens[:2])
+        heads = [token.word for token in self.tokens[:2]]
+        return "INTERRUPT" in heads or "TRIGGER" in heads
 
     @property
     def begins(self) -> str:
         """The name of the program or function that it begins; "" for all others."""
+        if self.head not in ("GLOBAL", "DEF", "DEFFCT"):
+            return ""
         words = [token.word for token in self.tokens if token.kind == "word"]
-        words = words[1:] if words[:1] == ["GLOBAL"] else words
+        words = words[1:] if words[0] == "GLOBAL" else words
         at = {"DEF": 1, "DEFFCT": 2}.get(words[0] if words else "", len(words))
         return words[at] if at < len(words) else ""
 
@@ -151,19 +160,35 @@ class Datum:
 
 def aggregate(tokens: Sequence[Token]) -> dict[str, Sequence[Token]]:
     """Return the tokens of each component of ``{X 1.0,...}`` or ``{POS: X 1.0,...}``."""
-    if not tokens or tokens[0].text != "{" or closing(tokens, 0) != len(tokens) - 1:
+    if not tokens or not opens(tokens[0]) or closing(tokens, 0) != len(tokens) - 1:
         raise KrlError(f"{quoted(tokens) or 'nothing'} is no structure of numbers")
-    inner = tokens[1:-1]
-    if len(inner) > 1 and inner[1].text == ":":
-        inner = inner[2:]
+    is_plain = tokens[0].kind == "structure"
     fields: dict[str, Sequence[Token]] = {}
-    for part in split(inner, ","):
+    for name, value in _plain(tokens[0]) if is_plain else _components(tokens[1:-1]):
+        if name in fields:
+            raise KrlError(f"{name} is stated twice")
+        fields[name] = value
+    return fields
+
+
+def opens(token: Token) -> bool:
+    """Whether a token is or begins a structure."""
+    return token.text[0] == "{"
+
+
+def _plain(structure: Token) -> Iterator[tuple[str, Sequence[Token]]]:
+    """Yield the components of a structure of one token."""
+    for match in _COMPONENTS.finditer(structure.text):
+        kind = "string" if match[2][0] == "'" else "number"
+        value = Token(kind, match[2], structure.start + match.start(2), match[2].upper())
+        yield match[1].upper(), (value,)
+
+
+def _components(tokens: Sequence[Token]) -> Iterator[tuple[str, Sequence[Token]]]:
+    for part in split(tokens[2:] if len(tokens) > 1 and tokens[1].text == ":" else tokens, ","):
         if len(part) < 2 or part[0].kind != "word":
             raise KrlError(f"{quoted(part) or 'an empty component'} is no component with a value")
-        if part[0].word in fields:
-            raise KrlError(f"{part[0].word} is stated twice")
-        fields[part[0].word] = part[1:]
-    return fields
+        yield part[0].word, part[1:]
 
 
 def number(name: str, tokens: Sequence[Token]) -> Number:

@@ -25,6 +25,7 @@ from drivers.kuka.program_krl.data import (
     closing,
     declared,
     number,
+    opens,
     quoted,
     statements,
     text_of,
@@ -312,7 +313,7 @@ class _Reader:
         target, rest = _target(statement.tokens)
         clause = self._clause(rest)
         name = text_of(target)
-        if target[0].text == "{":
+        if opens(target[0]):
             inline = Datum(f"{statement.head} target", "", self._file, statement.line, target)
             if set(inline.fields) & set(JOINTS):
                 self._joint_target(statement, inline)
@@ -386,8 +387,10 @@ class _Reader:
             target = self._target_of(datum, by_joints=motion.head in self.JOINTWISE)
             if known is None or (known.posture is None and motion.head in self.JOINTWISE):
                 self.targets[key] = target
-            values = {name: each.value for name, each in target.numbers.items()}
-            stops.append(Stop(key, values, target.status))
+            external = {
+                name: target.numbers[name].value for name in EXTERNAL if name in target.numbers
+            }
+            stops.append(Stop(key, external, target.status))
 
     def _target_of(self, datum: Datum, *, by_joints: bool) -> Target:
         try:
@@ -408,7 +411,7 @@ class _Reader:
                 continue
             handed = tokens[at + 2 : closing(tokens, at + 1)]
             points = [t.word for t in handed if self._data.kinds.get(t.word, "FDAT") != "FDAT"]
-            if points or any(t.text == "{" for t in handed):
+            if points or any(map(opens, handed)):
                 raise KrlError(
                     f"{token.word} is called with the motion parameter "
                     f"{points[0] if points else quoted(handed)}: where it moves is not known"
@@ -496,10 +499,10 @@ class _Reader:
 
 
 def _target(tokens: Sequence[Token]) -> tuple[Sequence[Token], Sequence[Token]]:
-    if len(tokens) < 2 or not (tokens[1].kind == "word" or tokens[1].text == "{"):
+    if len(tokens) < 2 or not (tokens[1].kind == "word" or opens(tokens[1])):
         raise KrlError(f"{tokens[0].word} has no target that is understood")
     end = 2
-    if tokens[1].text == "{":
+    if opens(tokens[1]):
         end = closing(tokens, 1) + 1
     elif len(tokens) > 2 and tokens[2].text == "[":
         end = closing(tokens, 2) + 1

@@ -17,7 +17,7 @@ keep the arm's, whatever S their points state. The bits are those of a status in
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence, Set
+from collections.abc import Callable, Hashable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from itertools import chain
 from typing import Generic, NamedTuple, TypeVar
@@ -30,6 +30,7 @@ from drivers.kuka.program_krl.data import (
     aggregate,
     closing,
     number,
+    opens,
     quoted,
 )
 from drivers.kuka.program_krl.program import Kept, Target
@@ -66,7 +67,7 @@ class Flow(Generic[State]):
     def __init__(
         self,
         blocks: Mapping[str, Sequence[Statement]],
-        step: Callable[[Statement, State], Iterable[State]],
+        step: Callable[[Statement, State], list[State]],
         key: Callable[[State], Hashable] = lambda state: state,
     ) -> None:
         self._blocks, self._step, self._key = blocks, step, key
@@ -99,19 +100,20 @@ class Flow(Generic[State]):
                 f"{name} is called within more than {self.DEEPEST} others; call it directly"
             )
         block, following, ends = self._blocks[name], self._next[name], list[State]()
+        at_any_time = self._any_time if name not in self._any_time else ()
         seen, todo = set[tuple[int, Hashable]](), [(0, begin)]
         while todo:
             at, state = todo.pop()
-            if (at, self._key(state)) in seen:
+            place = at, self._key(state)
+            if place in seen:
                 continue
-            seen.add((at, self._key(state)))
+            seen.add(place)
             if at >= len(block):
                 ends.append(state)
                 continue
             left = self._after(block[at], state)
-            if name not in self._any_time:
-                at_any_time = [self._through(each, s) for each in self._any_time for s in left]
-                left = self._distinct([*left, *chain.from_iterable(at_any_time)])
+            more = [self._through(each, s) for each in at_any_time for s in left]
+            left = self._distinct([*left, *chain.from_iterable(more)])
             todo += [(after, each) for after in following[at] for each in left]
         self._done[begun] = ends
         self._depth -= 1
@@ -122,10 +124,12 @@ class Flow(Generic[State]):
             return [state]
         left = self._distinct(self._step(statement, state))
         for name in self._called(statement):
-            left = self._distinct(end for each in left for end in self._through(name, each))
+            left = self._distinct([end for each in left for end in self._through(name, each)])
         return left
 
-    def _distinct(self, states: Iterable[State]) -> list[State]:
+    def _distinct(self, states: list[State]) -> list[State]:
+        if len(states) == 1:
+            return states
         found: dict[Hashable, State] = {}
         for each in states:
             found.setdefault(self._key(each), each)
@@ -182,7 +186,7 @@ class Flow(Generic[State]):
 class Stop(NamedTuple):
     """Where a motion may end: at a target, ``key``, or at joints.
 
-    ``values`` are those it states, by component; None if not defined in these files.
+    ``values`` are the external axes and joints that it states; None if not defined in these files.
     ``status`` is S where a motion by joints states it.
     """
 
@@ -458,7 +462,7 @@ class StrokeRule:
     def _shift(statement: Statement) -> tuple[float, float, float]:
         """Return X, Y, Z of a relative motion along the tool; raises `KrlError`."""
         head, tokens = statement.head, statement.tokens[1:]
-        if not tokens or tokens[0].text != "{":
+        if not tokens or not opens(tokens[0]):
             raise KrlError(f"{head}: expected a relative motion by a structure of numbers")
         end = closing(tokens, 0) + 1
         fields = aggregate(tokens[:end])

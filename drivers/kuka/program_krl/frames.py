@@ -27,6 +27,7 @@ from drivers.kuka.program_krl.data import (
     Statement,
     aggregate,
     closing,
+    opens,
     pose,
     quoted,
     text_of,
@@ -243,7 +244,7 @@ class FrameRule:
         if rest[0].text != "=" or not value:
             raise KrlError(f"{name}{quoted(rest)} is computed at run time")
         text = quoted(value)
-        if value[0].text == "{":
+        if opens(value[0]):
             numbers = pose(name, aggregate(value)).values()
             return Stated(line, text, None, tuple(each.value for each in numbers))
         if len(value) == 1 and value[0].word in ("$NULLFRAME", "$WORLD"):
