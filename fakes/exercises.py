@@ -7,8 +7,8 @@ The alarm may differ: it depends on what the run does next.
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from fakes.faults import KNOWN, TEXTS, UNTIL_CLEARED, Value
 from fakes.kuka.controller import RAIL_DRIVER
@@ -53,13 +53,29 @@ EXERCISES: Sequence[FaultExercise] = (
 )
 
 
+# Of robots whose controllers show a fault otherwise than a KUKA, by driver.
+ALARMS: Mapping[str, Mapping[str, str]] = {
+    "abb-egm": {"robot.deselected": "HC-B83"},
+    "ur-rtde": {
+        "robot.mode_t1": "HC-B60",
+        "robot.deselected": "HC-B66",
+        "robot.stopmess": "HC-B62",
+    },
+}
+
+
 def cell_exercises(cell: Cell) -> Sequence[FaultExercise]:
     """Return the exercises of a cell: none of a rail, or a bus, that it lacks."""
     lacks: tuple[str, ...] = () if cell.has_rail else ("rail.",)
     on_the_bus = ("rail.limit_switch", "rail.fault", "rail.node_reset", "rail.eof")
     if cell.rail.driver == RAIL_DRIVER:
         lacks = on_the_bus
-    return [each for each in EXERCISES if not each.fault.startswith(lacks)]
+    alarms = ALARMS.get(cell.robot.driver, {})
+    return [
+        replace(each, alarm=alarms.get(each.fault, each.alarm))
+        for each in EXERCISES
+        if not each.fault.startswith(lacks)
+    ]
 
 
 PAGE = """# Training, and faults on demand

@@ -78,15 +78,17 @@ FAULTS_OF_ABB = (
         "S",
         "S",
         B,
-        (Wire("robot", "blackhole"), Wire("robot", "reset"), Wire("robot", "flood")),
+        (Wire("robot", "blackhole"), Wire("robot", "flood")),
     ),
+    # A connection that is closed while nothing is asked is opened again.
+    Fault(17, "connection reset", "S in mid-answer", "-S", B, (Wire("robot", "reset"),)),
     Fault(
-        17,
+        18,
         "slices, glued or slow answers",
         "must work",
         "-",
         (),
         (Wire("robot", "slices"), Wire("robot", "glue"), Wire("robot", "slow", 0.02)),
     ),
-    Fault(18, "kill -9 of the engine", "resume offered", "K", (), (Kill(),)),
+    Fault(19, "kill -9 of the engine", "resume offered", "K", (), (Kill(),)),
 )

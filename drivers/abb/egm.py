@@ -26,6 +26,7 @@ from hilcell.ports import Array
 
 VARINT, FIXED64, BYTES, FIXED32 = 0, 1, 2, 5
 DATA, MOTORS_ON, RUNNING = 2, 1, 2
+LARGEST_DEG = 36_000.0  # of a joint: 100 turns
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,8 +117,8 @@ def parse(datagram: bytes) -> Sample:
         raise ProtocolError("no header of a position stream")
     joints = inner(datagram, 2, 1)
     joints_deg = doubles(joints) if isinstance(joints, bytes) else []
-    if len(joints_deg) < 6 or not all(map(math.isfinite, joints_deg)):
-        raise ProtocolError(f"joints {joints_deg[:7]}, six finite ones are expected")
+    if len(joints_deg) < 6 or not all(abs(each) <= LARGEST_DEG for each in joints_deg):
+        raise ProtocolError(f"joints {joints_deg[:7]}, expected six up to {LARGEST_DEG:g} deg")
     seconds, micro = whole(datagram, 2, 4, 1), whole(datagram, 2, 4, 2)
     if seconds is not None and micro is not None:
         device_s = seconds + 1e-6 * micro

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from drivers.abb import first_contact, robot_egm
+from drivers.abb.egm import PositionStream, Sample
 from drivers.abb.robot_egm import AbbEgmRobot
 from fakes.abb.controller import AbbController
 from fakes.abb.server import AbbServer, egm_robot
@@ -323,23 +324,22 @@ def test_a_stream_of_another_robot_is_refused(bench: Bench) -> None:
     assert "another robot" in error.expected
 
 
-def test_a_second_controller_shows_at_connect(bench: Bench) -> None:
+def test_a_second_controller_shows_at_connect(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where its first position comes after the controller's."""
     foreign = egm_robot(5, 1.0, np.zeros(6), motors_on=True, running=True)
-    ended = threading.Event()
+    first = PositionStream.fresh
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", 0))
 
-        def send() -> None:
-            while not ended.wait(0.004):
-                other.sendto(foreign, ("127.0.0.1", bench.server.stream.port))
+        def fresh(stream: PositionStream, silent_s: float | None = None) -> Sample:
+            found = first(stream, silent_s)
+            other.sendto(foreign, ("127.0.0.1", stream.port))
+            return found
 
-        second = threading.Thread(target=send)
-        second.start()
-        try:
-            error = refused(bench)
-        finally:
-            ended.set()
-            second.join()
+        monkeypatch.setattr(PositionStream, "fresh", fresh)
+        error = refused(bench)
     assert (error.code, error.expected) == ("HC-B85", "one controller")
 
 

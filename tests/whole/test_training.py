@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from fakes.exercises import EXERCISES, page
+from fakes.exercises import EXERCISES, cell_exercises, page
 from fakes.faults import KNOWN
 from hilcell.alarms import catalogue
+from hilcell.cell.file import load_cell
 from tests.whole.bench import HILCELL, SMALL, command, end_of, sets
 from tests.whole.test_alarms import ENDS
 
@@ -59,6 +60,12 @@ def test_each_exercise_is_a_fault_that_raises_its_alarm() -> None:
         if each.fault in ENDS[""]:
             assert each.alarm in ENDS[""][each.fault][0].split()
     assert len({each.title for each in EXERCISES}) == len(EXERCISES)
+
+
+@pytest.mark.parametrize(("cell", "alarm"), [("paper", "15"), ("abb", "83"), ("lab", "66")])
+def test_an_alarm_is_that_of_the_cell_s_robot(cell: str, alarm: str) -> None:
+    found = {each.fault: each.alarm for each in cell_exercises(load_cell(cell))}
+    assert found["robot.deselected"] == f"HC-B{alarm}"
 
 
 def test_the_page_is_of_the_table() -> None:

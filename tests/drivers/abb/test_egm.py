@@ -71,6 +71,7 @@ def test_an_older_robotware_has_the_header_s_time_alone() -> None:
         datagram()[:20],
         datagram(kind=b"\x01"),
         datagram(values=[*JOINTS_DEG[:5], math.nan]),
+        datagram(values=[*JOINTS_DEG[:5], -1e308]),
         datagram(values=JOINTS_DEG[:5]),
         b"\x03\x01",
         b"\xff" * 12,
