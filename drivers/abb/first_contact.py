@@ -261,16 +261,20 @@ def stream_port(services: WebServices, device: str) -> int:
     Refuses a device that does not exist, and a remote address that is not this PC's.
     """
     kind = "COM_TRP" if services.generation == 1 else "UDPUC_HOST"
-    names = services.instances(f"/rw/cfg/SIO/{kind}/instances")
-    if device not in names:
+    instances = f"/rw/cfg/SIO/{kind}/instances"
+    try:
+        found = services.attributes(f"{instances}/{device}")
+    except DeviceError as error:
+        if error.code != "HC-B03":
+            raise
+        names = services.instances(instances)
         raise ROBOT.refused(
             "HC-B85",
             "connect",
             f"the UDP unicast devices of the controller are {', '.join(names) or 'none'}",
             expected=f"{device}, which is robot.options.egm_device",
             act="correct the option, or create the device and restart the controller",
-        )
-    found = services.attributes(f"/rw/cfg/SIO/{kind}/instances/{device}")
+        ) from error
     host = next((v for name, v in found.items() if name.startswith("RemoteAd")), "")
     port = next((v for name, v in found.items() if name.startswith("RemotePort")), "")
     if not port.isdecimal() or not 0 < int(port) < 65536:
