@@ -47,6 +47,8 @@ MODULE hilcell
     ! A controller has four identities of EGM; one that is not given back is lost until a restart.
     EGMStreamStop hc_egm;
     EGMReset hc_egm;
+    ! Never on into the main routine of another program, in whatever run mode.
+    Stop;
   ENDPROC
 
   ! The motion runs beside the program (\Conc), which watches it. Where it is stopped, what is left

@@ -76,10 +76,10 @@ def test_without_a_cell_file_and_steps_say_what_is_to_be_filled_in() -> None:
     assert any(lacks in step for step in side.steps)
 
 
-def test_the_module_gives_its_identity_of_egm_back() -> None:
-    """3HAC073318: a controller has four; RobotWare 7.21 knows no StopMove with Quick."""
+def test_the_module_gives_its_identity_of_egm_back_and_ends_there() -> None:
+    """3HAC073318: a controller has four. RobotWare 7.21 knows no StopMove with Quick."""
     code = re.sub(r"!.*", "", TEXT)
-    assert re.search(r"ENDWHILE\s+EGMStreamStop hc_egm;\s+EGMReset hc_egm;\s+ENDPROC", code)
+    assert re.search(r"ENDWHILE\s+EGMStreamStop hc_egm;\s+EGMReset hc_egm;\s+Stop;", code)
     assert "\\Quick" not in code
 
 
