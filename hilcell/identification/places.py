@@ -17,6 +17,9 @@ from hilcell.geometry.statistics import coverage_factor, expanded
 from hilcell.identification.reflector_radius import RADIUS_MM, SHIFTS_MM
 
 PROOF = 3.0  # sigmas of a shift that proves another reflector
+LIKELIER = 100.0  # times, by which another reflector must explain readings better than nests do
+STATED = 5.0  # coordinates that the tolerance is worth
+WITHIN = 3.76  # sigmas of a coordinate within which 99.7 % of normal places (3,) are
 UPRIGHT = 0.0  # least cosine between the tracker's z and that of {W}
 
 
@@ -77,13 +80,23 @@ def may_be_nests(nominal_mm: Array, seen_mm: Array, tolerance_mm: float) -> bool
     return False
 
 
-def proven_shift(nominal_mm: Array, seen_mm: Array) -> float:
+def proven_shift(nominal_mm: Array, seen_mm: Array, tolerance_mm: float) -> float:
     """Return by how much readings of nests (N, 3), {L}, are off along their beams as of another
-    reflector; 0 where nothing proves one.
+    usual reflector; 0 where nothing proves one.
+
+    Two hypotheses: nests beside their places, and readings off by a known difference of radii as
+    well; the second must be `LIKELIER`. Nests' distances from their places are normal; their spread
+    is that of the tolerance, which counts as `STATED` coordinates, and of the readings.
     """
-    fits = [_fit(nominal_mm, seen_mm, shift_mm) for shift_mm in SHIFTS_MM[1:]]
-    proven = [fit for fit in fits if fit is not None]
-    return min(proven, key=lambda fit: float(fit.off_mm.max())).shift_mm if proven else 0.0
+    freedom = 3 * len(seen_mm) - 6
+    known_mm2 = STATED * (tolerance_mm / WITHIN) ** 2
+    squares_mm2 = np.array([
+        known_mm2 + np.square(_off_mm(nominal_mm, seen_mm + shift_mm * unit(seen_mm))).sum()
+        for shift_mm in SHIFTS_MM
+    ])  # fmt: skip
+    best = int(np.argmin(squares_mm2))
+    likelier = (squares_mm2[0] / squares_mm2[best]) ** ((STATED + freedom) / 2.0)
+    return SHIFTS_MM[best] if likelier >= LIKELIER else 0.0
 
 
 def _matches(

@@ -585,7 +585,8 @@ def check_distances(cell: Cell, measured_mm: Array) -> None:
 
 def check_reflector(cell: Cell, nests: Sequence[Nest], measured_mm: Array) -> None:
     """Refuse readings of nests (N, 3) that prove a reflector of another radius, or setting."""
-    shift_mm = proven_shift(np.array([nest.xyz_mm for nest in nests]), measured_mm)
+    nominal_mm = np.array([nest.xyz_mm for nest in nests])
+    shift_mm = proven_shift(nominal_mm, measured_mm, cell.layout.nest_tolerance_mm)
     if shift_mm:
         raise DeviceError(
             "HC-T32",

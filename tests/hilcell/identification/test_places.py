@@ -80,7 +80,21 @@ def test_few_nests_with_errors_of_a_drawing_prove_no_other_reflector() -> None:
     for seed in range(40):
         _, order, seen_mm = seen_of(np.random.default_rng(seed), 3)
         errors_mm = np.random.default_rng([seed, 1]).normal(scale=2.0, size=(3, 3))
-        assert proven_shift(NOMINAL_MM[order], seen_mm + errors_mm) == 0.0
+        assert proven_shift(NOMINAL_MM[order], seen_mm + errors_mm, 5.0) == 0.0
+
+
+@pytest.mark.parametrize("off_mm", [0.0, 12.7, -12.7])
+def test_another_reflector_is_proven_where_nests_within_their_tolerance_are_less_likely(
+    off_mm: float,
+) -> None:
+    """Five nests, each coordinate 1 mm (1 sigma) from the drawing, seen from the cell's tracker."""
+    seen_mm, rng = apply(inverse(CELL.tracker.pose.matrix()), NOMINAL_MM), np.random.default_rng(5)
+    for _ in range(100):
+        at_mm = seen_mm + rng.normal(scale=1.0, size=seen_mm.shape).clip(-2.0, 2.0)
+        found_mm = proven_shift(NOMINAL_MM, at_mm + off_mm * unit(at_mm), 5.0)
+        assert np.sign(found_mm) == -np.sign(off_mm)
+        if not off_mm:
+            assert proven_shift(NOMINAL_MM[:3], at_mm[:3], 5.0) == 0.0
 
 
 @dataclass
