@@ -701,8 +701,8 @@ class DriftJudged(Verdict, frozen=True, kw_only=True):
 
 
 class InstrumentChecked(NamedTuple):
-    """What a check of the instrument alone proves: which figures, lengths and reflectors are beyond
-    their limit, which figures are undecided, each as text, and how many keep their limit.
+    """The outcome of a check of the instrument: the figures, lengths and reflectors proven beyond
+    their limit and the undecided figures, each as text, and the number of those within theirs.
     """
 
     beyond: list[str]
