@@ -82,7 +82,12 @@ def formatted(value: float, like: str, decimals: int) -> str:
     """Return a number with ``decimals`` at least, or as many as ``like`` has."""
     exponent = Decimal(like).as_tuple().exponent
     places = max(decimals, -exponent if isinstance(exponent, int) else 0)
-    text = f"{value:.{places}f}"
+    return fixed(value, places)
+
+
+def fixed(value: float, decimals: int) -> str:
+    """Return a number with so many decimals, and a zero without a sign."""
+    text = f"{value:.{decimals}f}"
     return text if float(text) else text.removeprefix("-")
 
 

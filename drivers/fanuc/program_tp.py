@@ -35,6 +35,7 @@ from drivers.program_text import (
     Edit,
     Number,
     edited,
+    fixed,
     formatted,
     module_name,
     plain,
@@ -89,9 +90,12 @@ def sections(text: str) -> dict[str, Section]:
 
 
 class Statement(NamedTuple):
-    """A statement of ``/MN``: in capitals, without names in brackets and strings; and as it is."""
+    """A statement of ``/MN``: its line and its number, its ``code`` in capitals, without names in
+    brackets and strings, and its ``source``.
+    """
 
     line: int
+    number: str
     code: str
     source: str
 
@@ -114,22 +118,28 @@ def statements(text: str, line: int) -> Iterator[Statement]:
 
     A statement may go on in lines without a number.
     """
-    begun, parts = 0, list[str]()
+    begun, own, parts = 0, "", list[str]()
     for number, whole in enumerate(text.split("\n"), start=line):
         match = _LINE.match(whole)
         if match is None and not whole.strip():
             continue
         if parts and match is not None and match[1]:
             break
-        begun = begun if parts else number
+        if not parts:
+            begun, own = number, match[1] if match is not None else ""
         parts.append((whole if match is None else match[2]).strip())
         if parts[-1].endswith(";"):
             source = " ".join(parts)[:-1].strip()
             bare = _TEXT.sub("", _NAMED.sub(r"[\1]", source))
-            yield Statement(begun, bare.upper(), source)
+            yield Statement(begun, own, bare.upper(), source)
             parts = []
     if parts:
-        raise TpError(f"line {begun}: {clean(parts[0])[:40]}: expected ';' at its end")
+        raise TpError(f"{_place(begun, own)}: {clean(parts[0])[:40]}: expected ';' at its end")
+
+
+def _place(line: int, number: str | None) -> str:
+    """Return a line of the file, with the number of its statement on the pendant."""
+    return f"line {line} (statement {number})" if number else f"line {line}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,6 +267,12 @@ def posture(arm: Arm, status: int) -> str:
     return f"{flip}{elbow}T"
 
 
+def frame_text(values: Array) -> str:
+    """Return a frame (6,) as the pendant has it: X, Y, Z in mm, W, P, R in deg."""
+    x, y, z, r, p, w = (fixed(each, 3) for each in values)
+    return f"X {x} Y {y} Z {z} W {w} P {p} R {r}"
+
+
 # -- a program -------------------------------------------------------------------------------------
 
 
@@ -311,7 +327,7 @@ class Program(programs.Program):
             (f"{each.where}, CONFIG {each.config}", known[each.posture]) for each in self.targets
         ]
 
-    def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> None:
+    def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> tuple[str, ...]:
         """Raise `TurnError` naming the positions that ``command`` (N, 6) takes through 180 deg.
 
         The nominal ``arm`` at ``T_W_B`` gives the joints.
@@ -333,6 +349,10 @@ class Program(programs.Program):
                 "the correction takes axes through 180 deg, where CONFIG would mean a whole turn; "
                 "teach these positions with the axis on one side of it\n" + "\n".join(problems)
             )
+        return ()
+
+    def frame_text(self, values: Array) -> str:
+        return frame_text(values)
 
     def reflector_number(self, options: Mapping[str, Any]) -> int | None:
         number: int = options.get("tool", USUAL_TOOL)
@@ -343,7 +363,7 @@ class Program(programs.Program):
         if stem.lower() == self.name.lower():
             return []
         note = (
-            f"{stem}{SUFFIX}: /PROG names it {self.name}, and the controller loads it under that "
+            f"/PROG of {stem}{SUFFIX} names it {self.name}, and the controller loads it under that "
             f"name: it replaces a program {self.name} there, unless /PROG is changed"
         )
         return [note]
@@ -478,7 +498,9 @@ class _Reader:
             self._frame = self._one_number("UFRAME", "UF", lambda target: target.frame)
             self._tool = self._one_number("UTOOL", "UT", lambda target: target.tool)
             self._check_external()
-        return [f"line {line}: {problem}" for line, problem in sorted(self._problems)]
+        numbers = {each.line: each.number for each in self._statements}
+        problems = sorted(self._problems)
+        return [f"{_place(line, numbers.get(line))}: {problem}" for line, problem in problems]
 
     def program(self) -> Program:
         targets, tool, head = list(self._targets.values()), None, self._sections["PROG"]
@@ -731,7 +753,7 @@ class _Points:
 
     def _added(self, name: str, values: Array, joints_rad: Array, status: int) -> str:
         config = self._config(name, joints_rad, status)
-        x, y, z, r, p, w = (f"{each + 0.0:9.3f}" for each in np.round(values, 3))
+        x, y, z, r, p, w = (fixed(each, 3).rjust(9) for each in values)
         label = f"P[{len(self.written) + 1}:"
         self.written.append(
             f"{label}\"{name}\"]{{\n   GP1:\n\tUF : 0, UT : {self._tool},\t\tCONFIG : '{config}',\n"
@@ -773,6 +795,7 @@ def _statements(program: StationProgram, stamp: Stamp, points: _Points) -> Itera
         yield from remark_lines(remark)
     yield "UFRAME_NUM=0 ;"
     yield f"UTOOL_NUM={points.tool} ;"
+    yield from remark_lines(f"UT {points.tool} must be {frame_text(program.tool)}")
     yield from remark_lines(
         f"UF 0 must be hilcell's {{B}}, whose origin is {program.arm.d_mm[0]:.0f} mm below axis 2; "
         "a FANUC's own is usually at axis 2: compare, then start"

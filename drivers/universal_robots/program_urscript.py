@@ -30,6 +30,7 @@ from drivers.program_text import (
     Edit,
     Number,
     edited,
+    fixed,
     formatted,
     line_below,
     module_name,
@@ -468,4 +469,4 @@ def _comment(text: str) -> str:
 
 
 def _joints(joints_rad: ArrayLike) -> str:
-    return f"[{', '.join(f'{each:.{JOINT_DECIMALS}f}' for each in np.asarray(joints_rad))}]"
+    return f"[{', '.join(fixed(each, JOINT_DECIMALS) for each in np.asarray(joints_rad))}]"

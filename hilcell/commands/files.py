@@ -15,6 +15,7 @@ from hilcell.cell.settings import SettingsError, did_you_mean
 from hilcell.commands.console import print_answer, print_data, print_json, print_message
 from hilcell.commands.signatures import Files
 from hilcell.ports import ControllerSide, HilcellError, NeedsFiles
+from hilcell.sanitize import counted
 
 PAGE = "README.md"
 
@@ -42,7 +43,8 @@ def files(args: Files) -> int:
         "files": sorted(map(str, contents)),
         "lacks": [*side.lacks],
     }
-    text = f"{folder}: {len(side.files)} files of {side.version}; the steps are in {folder / PAGE}"
+    files = f"{counted(len(side.files), 'file')} of {side.version}"
+    text = f"{folder}: {files}; the steps are in {folder / PAGE}"
     for each in side.lacks:
         text += f"\nto be filled in: {each} (or write the files with --cell)"
     print_answer(facts, text, as_json=args.json)

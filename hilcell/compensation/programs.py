@@ -131,12 +131,17 @@ class Program(Protocol):
         """Plural of what `check_joints` checks; may be empty."""
         return ""
 
-    def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> None:
-        """Raise `HilcellError` where ``command`` (N, 6) would need other revolutions of the joints.
+    def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> Sequence[str]:
+        """Raise `HilcellError` where ``command`` (N, 6) would need other revolutions of the joints;
+        return notes on the program's own.
 
         It is in the targets' frame, as the pose ``T_W_B`` (4, 4) of the arm's base.
         """
-        return
+        return ()
+
+    def frame_text(self, values: Array) -> str:
+        """Return a frame, x, y, z in mm and Z-Y-X angles a, b, c in deg, as its language does."""
+        return " ".join(f"{axis} {each:.4f}" for axis, each in zip("XYZABC", values, strict=True))
 
     def misnamed(self, stem: str) -> Sequence[str]:
         """Notes where a controller would not accept its files under this stem."""

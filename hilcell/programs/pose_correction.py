@@ -402,9 +402,11 @@ class ArmTargets(TargetFiles):
                 )
         if program.needs_arm:
             try:
-                program.check_joints(reach.arm, reach.robot.base, command)
+                notes = program.check_joints(reach.arm, reach.robot.base, command)
             except ReachError as error:
-                say(f"{source.name}: {program.needs_arm} were not checked: {error}")
+                notes = [f"{program.needs_arm} were not checked: {error}"]
+            for note in notes:
+                say(f"{source.name}: {note}")
 
     @staticmethod
     def _beyond(names: list[str], joints_rad: Array, train: Measurements) -> str:

@@ -22,7 +22,6 @@ from hilcell.cell.settings import SettingsError
 from hilcell.compensation.grid import ROUNDING_MM, OutsideGrid
 from hilcell.compensation.programs import (
     Program,
-    StatedBase,
     Stroke,
     load_program,
     program_notes,
@@ -136,7 +135,7 @@ class StationTargets(TargetFiles):
         known = released.cell if cell is None and program is None else cell
         tip = cls._tip(known, tool, program, source)
         if program is not None and known_station:  # else the next refusal would hide its cause
-            cls._check_base(released.calibration, station, program.base, nominal)
+            cls._check_base(released.calibration, station, program, nominal)
         try:
             targets = released.corrected(station, names, nominal, tip, known)
         except OutsideGrid as error:  # the unit of a program is that of its format
@@ -152,6 +151,13 @@ class StationTargets(TargetFiles):
         if cell is not None and program is not None and program.tool is None:
             note = f"{source.name}: it sets no tool: taken to run with that of {tip.name}"
             remarks.insert(0, note)
+        if program is not None and program.base is None and not in_root:
+            world = zyx_from_pose(inverse(released.calibration.base(station))[None])[0]
+            remarks.insert(
+                0,
+                f"{source.name}: its base is in the controller, which must have {{W}} as "
+                f"calibrated at {station}, in {{B}}: {program.frame_text(world)}",
+            )
         return cls(
             source,
             program,
@@ -273,7 +279,8 @@ class StationTargets(TargetFiles):
             T_W_B, command = released.calibration.base(station), targets.command
             if program.in_root:
                 command, T_W_B = StationTargets._taken_in(inverse(T_W_B), command), np.eye(4)
-            program.check_joints(tip.arm(cell.robot.arm()), T_W_B, command)
+            for note in program.check_joints(tip.arm(cell.robot.arm()), T_W_B, command):
+                say(f"{name}: {note}")
         elif program.needs_arm:
             say(f"{name}: {program.needs_arm} were not checked; --cell CELL does")
 
@@ -284,11 +291,12 @@ class StationTargets(TargetFiles):
 
     @staticmethod
     def _check_base(
-        calibration: Calibration, station: str, stated: StatedBase | None, targets: Array
+        calibration: Calibration, station: str, program: Program, targets: Array
     ) -> None:
         """Raise `HilcellError` where a base set by numbers is not {W}, at ``targets`` (N, 6). A
         controller's base is relative to its own root, {B}: {W} is the inverse of T_W_B.
         """
+        stated = program.base
         if stated is None:
             return
         expected = inverse(calibration.base(station))
@@ -297,14 +305,11 @@ class StationTargets(TargetFiles):
         worst = float(off_mm.max())
         base_mm = 0.05  # at the targets: numbers of a program are rounded
         if not worst <= base_mm:
-            numbers = zyx_from_pose(expected[None])[0]
-            words = ",".join(
-                f"{axis} {value:.4f}" for axis, value in zip("XYZABC", numbers, strict=True)
-            )
+            numbers = program.frame_text(zyx_from_pose(expected[None])[0])
             raise HilcellError(
                 f"{stated.where}: the base set there is not the world frame {{W}} of the targets "
                 f"at {station}: it puts them up to {worst:.3f} mm elsewhere, expected <= "
-                f"{base_mm:g} mm; set {{{words}}}, as calibrated, and take the targets in {{W}}",
+                f"{base_mm:g} mm; set {numbers}, as calibrated, and take the targets in {{W}}",
                 code="HC-C10",
             )
 

@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from drivers.program_text import fixed
 from hilcell.compensation.programs import Program, load_program
 from hilcell.geometry.frames import poses_from_zyx
 from tests.drivers.program_forms import FORMS, Form, correctable, station, texts_of, written
@@ -57,3 +58,7 @@ def test_a_correction_moves_every_hole_by_it_and_nothing_else(form: Form, tmp_pa
 
 def without_numbers(text: str) -> str:
     return re.sub(r"[\d.]+", "#", re.sub(r"[-+ ]", "", text))
+
+
+def test_a_zero_has_no_sign() -> None:
+    assert [fixed(each, 4) for each in (-1e-9, -0.0, -0.00006)] == ["0.0000", "0.0000", "-0.0001"]

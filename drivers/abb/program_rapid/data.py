@@ -288,6 +288,7 @@ class Module:
         self.routines: dict[str, Routine] = {}
         self.data: dict[str, Datum] = {}
         self.head_end = 0
+        self._is_ended = False
         self._open: Routine | None = None
         self._line_ends = [match.start() for match in re.finditer("\n", text)]
         for tokens in statements(text):
@@ -300,6 +301,9 @@ class Module:
             raise RapidError("no MODULE: expected the text of a RAPID module")
         if self._open is not None:
             raise RapidError(f"line {self._open.line}: {self._open.name} has no end")
+        if not self._is_ended:
+            last = len(text.rstrip().split("\n"))
+            raise RapidError(f"line {last}: the module ends without ENDMODULE: is it truncated?")
 
     def _take(self, statement: Statement) -> None:
         at = int(statement.head == "LOCAL")
@@ -312,6 +316,8 @@ class Module:
             self._begin(statement, word, at)
         elif word in ("ENDPROC", "ENDFUNC", "ENDTRAP"):
             self._open = None
+        elif word == "ENDMODULE" and self._open is None:
+            self._is_ended = True
         elif self._open is None:
             if datum := declared(statement):
                 self._keep(self.data, datum)

@@ -48,6 +48,7 @@ from hilcell.compensation.programs import StatedBase, StatedTool, Stroke
 from hilcell.errors import bounded
 from hilcell.geometry.frames import matrix, zyx_from_pose
 from hilcell.ports import Array
+from hilcell.sanitize import counted
 
 MOTIONS = {  # by name: the place of the tool among the arguments
     **dict.fromkeys(("MOVEJ", "MOVEL", "MOVEJDO", "MOVELDO", "MOVEJAO", "MOVELAO", "MOVEJGO",
@@ -134,11 +135,14 @@ class Place(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """A tool or work object, by name; its pose (4, 4), None if another module declares it."""
+    """A tool or work object, by name; its pose (4, 4), None if another module declares it, or
+    where a ``defect`` keeps the program from being corrected.
+    """
 
     name: str
     line: int
     pose: Array | None
+    defect: str = ""
 
     def same(self, other: Frame) -> bool:
         same_name = self.name.upper() == other.name.upper()
@@ -167,6 +171,7 @@ class _Reader:
         self._places = set[int]()  # of names that are a motion's target, by character
         self._used_names = set[tuple[str, str]]()  # names of targets, by the routine of that name
         self._known_frames: dict[str, Frame] = {}  # those that motions name
+        self._motions_in: dict[Frame, set[int]] = {}  # lines, by tool or work object with a defect
         self._external: list[tuple[int, str, tuple[float | None, ...]]] = []  # of joint targets
         self._left: dict[str, int] = {}  # remarks on parts left unchanged, by their first line
         self._calls: dict[str, list[Call]] = {}
@@ -188,6 +193,9 @@ class _Reader:
         self._each(self._check_uses)
         self._check_initial_values()
         self._check_external()
+        for frame, lines in self._motions_in.items():
+            motions = f"{counted(len(lines), 'motion')}, the first in line {min(lines)}"
+            self._problems.setdefault(frame.line, f"{frame.name}: {frame.defect} ({motions})")
 
     @property
     def problems(self) -> list[str]:
@@ -486,11 +494,14 @@ class _Reader:
             try:
                 self._known_frames[name] = Frame(text, datum.line, _frame_of(datum))
             except RapidError as error:
-                raise RapidError(f"{text} (line {datum.line}): {error}") from error
+                self._known_frames[name] = Frame(text, datum.line, None, str(error))
         return [self._known_frames[name]]
 
     def _set_frame(self, what: str, frames: Sequence[Frame], line: int) -> None:
         for frame in frames:
+            if frame.defect:
+                self._motions_in.setdefault(frame, set()).add(line)
+                continue
             known = self._frames.setdefault(
                 what, frame if frame.line else frame._replace(line=line)
             )
@@ -669,6 +680,14 @@ class _Reader:
                 f"not LOCAL: {', '.join(bounded(shared))}: other modules that use them get their "
                 "correction, too"
             )
+        for key, elements in self._elements_of.items():
+            scope = key.removesuffix(key.rpartition(":")[2])
+            keys = [scope + each for each in elements]
+            names = [self.targets[each].name for each in keys if each in self.targets]
+            array = names[0].partition("{")[0]
+            left = [array + each[each.index("{") :] for each in keys if each not in self.targets]
+            if left:
+                yield f"elements of {array} that no motion uses, left: {', '.join(bounded(left))}"
         used = {key.partition("{")[0] for key in self.targets}
         unused = [
             each.text

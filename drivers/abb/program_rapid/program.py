@@ -10,7 +10,9 @@ cfx counts 4 for a wrist centre behind axis 1, 2 for one behind the lower arm, 1
 ConfJ, ConfL.)
 
 A written program has its tool, and {W} as calibrated as its work object, in the file. Its points
-state no external axes, which keep their position. Not tried on a real controller.
+state no external axes, which keep their position. The load of its tool is not known here, and a
+load below the true one overloads the arm and makes it overshoot (tooldata, loaddata): the routine
+ends before its first motion until a mass is entered. Not tried on a real controller.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ from drivers.program_text import (
     Edit,
     Number,
     edited,
+    fixed,
     formatted,
     line_below,
     module_name,
@@ -35,6 +38,7 @@ from drivers.program_text import (
 from hilcell.compensation import programs
 from hilcell.compensation.programs import Places, StatedBase, StatedTool, StationProgram, Stroke
 from hilcell.compensation.targets import Stamp
+from hilcell.errors import bounded
 from hilcell.geometry.frames import (
     from_rotvec,
     from_zyx,
@@ -53,6 +57,7 @@ SUFFIX = ".mod"
 DECIMALS, QUATERNION_DECIMALS = 3, 8
 COUNTED = (0, 3, 5)  # axes whose quarters a configuration states
 NOT_THERE = "9E9"  # an external axis that a system does not have
+CONTRARY = "configurations that their position contradicts, without the correction too, stay"
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,12 +134,13 @@ class Program(programs.Program):
         controlled = (each for each in self.targets if each.is_controlled)
         return [(self._where(each), each.status(arm)) for each in controlled]
 
-    def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> None:
+    def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> list[str]:
         """Raise `QuarterError` naming the points that ``command`` (N, 6) takes out of the quarter
         turn that they state, as `Offs` and `RelTool` of them do.
 
         Targets and ``command`` are in {W}; the nominal ``arm`` at ``T_W_B`` gives the joints. A
-        stated quarter that the nominal target does not have either is the program's own.
+        stated quarter that the nominal target does not have either is the program's own: it is
+        noted.
         """
         nominal = self.values()
         shifted = [(each.where, each.target, each.shift_mm) for each in self.strokes]
@@ -144,7 +150,7 @@ class Program(programs.Program):
             target = self.targets[end[1]]
             if target.is_controlled:
                 by_status.setdefault(target.status(arm), []).append(end)
-        problems = list[str]()
+        problems, contrary = list[str](), list[str]()
         for status, found in by_status.items():
             at = [n for _, n, _ in found]
             poses = inverse(T_W_B) @ np.array([
@@ -159,12 +165,21 @@ class Program(programs.Program):
                 f"{joints_deg[1, n, k]:.3f} deg, stated cf{COUNTED[k] + 1} {stated[n, k]}"
                 for n, k in np.argwhere(before & ~after).tolist()
             ]
+            contrary += [
+                f"{found[n][0]} cf{COUNTED[k] + 1} {stated[n, k]}, axis {COUNTED[k] + 1} at "
+                f"{joints_deg[0, n, k]:.1f} deg"
+                for n, k in np.argwhere(~before & ~after).tolist()
+            ]
         if problems:
             raise QuarterError(
                 "the correction takes axes into another quarter turn than the configuration of "
                 "their target states, where the controller would stop; state that quarter there, "
                 "or switch the control off (ConfJ\\Off, ConfL\\Off)\n" + "\n".join(problems)
             )
+        return ["; ".join((CONTRARY, *bounded(contrary)))] if contrary else []
+
+    def frame_text(self, values: Array) -> str:
+        return _frame(values)
 
     @property
     def remarks(self) -> list[str]:
@@ -224,6 +239,8 @@ def to_quaternions(rotations: Array) -> Array:
 # -- the program of a station ----------------------------------------------------------------------
 
 TOOL, WORLD, SAFE = "tHilcell", "wHilcell", "jSafe"
+NO_MASS_KG = 0.001  # of the controller's load0; a tool of it is not moved
+NO_LOAD = f"[{NO_MASS_KG},[0,0,0.001],[1,0,0,0],0,0,0]"
 
 
 def write_station(program: StationProgram, stamp: Stamp) -> dict[str, bytes]:
@@ -236,14 +253,13 @@ def _lines(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:
     yield f"MODULE {name}"
     yield _comment(stamp.text)
     yield from map(_comment, program.remarks)
-    yield _comment(f"tool {program.tool_name}; enter its mass and centre of gravity below")
-    load = "[0.001,[0,0,0.001],[1,0,0,0],0,0,0]"
-    yield f"  LOCAL PERS tooldata {TOOL}:=[TRUE,{_frame(program.tool)},{load}];"
+    yield _comment(f"tool {program.tool_name}; enter its load below: mass in kg, centre of gravity")
+    yield f"  LOCAL PERS tooldata {TOOL}:=[TRUE,{_frame(program.tool)},{NO_LOAD}];"
     yield _comment("{W} as calibrated, in the robot's base; the controller's base frame is zero")
     world = f'[FALSE,TRUE,"",{_frame(program.base)},[[0,0,0],[1,0,0,0]]]'
     yield f"  LOCAL PERS wobjdata {WORLD}:={world};"
     none = ",".join([NOT_THERE] * 6)
-    safe = ",".join(f"{deg:.6f}" for deg in program.safe_deg)
+    safe = ",".join(fixed(deg, 6) for deg in program.safe_deg)
     yield f"  LOCAL CONST jointtarget {SAFE}:=[[{safe}],[{none}]];"
     percent = program.speed_percent
     yield f"  LOCAL CONST speeddata vFree:=[{10 * percent:g},{percent:g},1000,1000];"
@@ -259,6 +275,10 @@ def _lines(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:
             yield f"  LOCAL CONST robtarget {via}:=[{point},[{none}]];"
     yield f"  PROC drill_{name}()"
     switch = "On" if _is_sure((*ways, *program.via)) else "Off"
+    yield f"    IF {TOOL}.tload.mass <= {NO_MASS_KG} THEN"
+    yield f'      TPWrite "enter the load of {TOOL} in module {name}: its mass is not stated";'
+    yield "      EXIT;"
+    yield "    ENDIF"
     yield f"    ConfJ\\{switch};"
     yield f"    ConfL\\{switch};"
     yield f"    MoveAbsJ {SAFE}\\NoEOffs,vFree,fine,{TOOL}\\WObj:={WORLD};"
@@ -307,7 +327,7 @@ def _points(places: Places, arm: Arm) -> Iterator[str]:
 
 
 def _frame(values: Array) -> str:
-    place = ",".join(f"{each:.4f}" for each in values[:3])
-    turn = ",".join(f"{each:.{QUATERNION_DECIMALS}f}" for each in
-                    to_quaternions(from_zyx(values[None, 3:]))[0])  # fmt: skip
+    (turns,) = to_quaternions(from_zyx(values[None, 3:]))
+    place = ",".join(fixed(each, 4) for each in values[:3])
+    turn = ",".join(fixed(each, QUATERNION_DECIMALS) for each in turns)
     return f"[[{place}],[{turn}]]"

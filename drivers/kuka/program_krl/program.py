@@ -25,6 +25,7 @@ from drivers.program_text import (
     Edit,
     Number,
     edited,
+    fixed,
     formatted,
     line_below,
     module_name,
@@ -115,7 +116,7 @@ class Program(programs.Program):
         own = [(where, status) for where, status in stated if status is not None]
         return own + [(each.where, expected & ~each.known | each.status) for each in self.kept]
 
-    def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> None:
+    def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> tuple[str, ...]:
         """Raise `TurnError` naming the points that ``command`` (N, 6) takes through a zero.
 
         Targets and ``command`` are in {W}; the nominal ``arm`` at ``T_W_B`` gives the joints. The
@@ -139,12 +140,16 @@ class Program(programs.Program):
                 "these points with LIN, or leave out S and T\n"
                 + "\n".join(text for _, text in sorted(problems))
             )
+        return ()
+
+    def frame_text(self, values: Array) -> str:
+        return _frame(values)
 
     def misnamed(self, stem: str) -> list[str]:
         """Return notes on modules whose name in the text is not the files' ``stem``."""
         return [
-            f"{stem}{Path(file).suffix}: {word} names the module {name} (line {line}), and a KUKA "
-            f"wants module and file alike: name the file {name}, or change {word}"
+            f"{word} of {stem}{Path(file).suffix} names the module {name} (line {line}), and a "
+            f"KUKA wants module and file alike: name the file {name}, or change {word}"
             for file, text in self.texts.items()
             for word, name, line in self._module(text)
             if name.lower() != stem.lower()
@@ -284,4 +289,4 @@ def _points(places: Places) -> Iterator[str]:
 def _frame(values: Array | Sequence[float]) -> str:
     decimals = (4, 4, 4, 6, 6, 6)
     parts = zip(POSE, values, decimals, strict=True)
-    return "{" + ",".join(f"{axis} {value:.{places}f}" for axis, value, places in parts) + "}"
+    return "{" + ",".join(f"{axis} {fixed(value, places)}" for axis, value, places in parts) + "}"

@@ -120,6 +120,8 @@ def test_a_work_object_that_is_not_the_world_frame(desk: Workplace) -> None:
     desk.source.write_text(desk.source.read_text().replace(world(), world(0.1)))
     said = desk.refused(out=desk.folder / "again.mod")
     assert "drill.mod line 2: the base set there is not the world frame" in said
+    place = world().partition('"",')[2].partition("]")[0]
+    assert f"set {place}],[" in said, "as RAPID states it"
 
 
 def near_zero() -> tuple[str, int]:
@@ -154,6 +156,7 @@ def test_quarter_turns_that_the_correction_changes(
     assert done.returncode == code, done.stderr
     assert ("target (drill.mod line 4): axis 1 goes from" in done.stderr) == (code == 2)
     assert f"stated cf1 {cf1}" in done.stderr or code == 0
+    assert ("(drill.mod line 4) cf1 1, axis 1 at" in done.stderr) == (cf1 == "1"), "it is noted"
     unchecked = desk.run(out=desk.folder / "unchecked.mod")
     assert unchecked.returncode == 0
     assert ("axis configurations (confdata)" in unchecked.stderr) == (
@@ -214,6 +217,10 @@ def test_the_program_of_a_station_moves_to_its_commands() -> None:
     assert read.tool is not None
     assert tip.is_stated(read.tool)
     assert sum("jSafe" in each for each in lines) == 3
+    first = next(n for n, each in enumerate(lines) if "Move" in each)
+    assert lines.index("    IF tHilcell.tload.mass <= 0.001 THEN") < first
+    assert lines.index("      EXIT;") < first
+    assert "[0.001,[0,0,0.001],[1,0,0,0],0,0,0]]" in text, "no load is made up"
     assert lines.index("    Stop;") < next(n for n, each in enumerate(lines) if "MoveJ" in each)
     values = {each.name: row for each, row in zip(read.targets, read.values(), strict=True)}
     command = [values["XP1"], values["XP2"]]

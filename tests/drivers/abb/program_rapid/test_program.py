@@ -222,6 +222,29 @@ def test_a_tool_that_stands_is_refused() -> None:
     assert "the robot does not hold this tool" in refusal("MoveL p1,v1,fine,tX;", data)
 
 
+def test_a_defect_of_a_work_object_is_said_once() -> None:
+    """With the number of motions in it; other refusals are kept."""
+    data = 'PERS wobjdata wX:=[FALSE,TRUE,"STN1",[[1,0,0],[1,0,0,0]],[[0,2,0],[1,0,0,0]]];\n'
+    said = refusal("MoveL p1,v1,fine,t\\WObj:=wX;\nMoveC p1;\nMoveJ p2,v1,fine,t\\WObj:=wX;", data)
+    first, second = said.splitlines()
+    assert first.startswith(f"drill.mod line {BODY - 1}: wX: its frame moves with another unit")
+    assert f"(2 motions, the first in line {BODY + 1})" in first
+    assert second.startswith(f"drill.mod line {BODY + 2}: MoveC")
+
+
+def test_a_module_that_is_cut_off_is_refused() -> None:
+    cut = MODULE.partition("ENDMODULE")[0]
+    with pytest.raises(SettingsError, match=r"line 54: .*ENDMODULE"):
+        read_program("drill.mod", cut)
+
+
+def test_elements_of_an_array_that_are_left_are_named() -> None:
+    read = read_program("drill.mod", MODULE.replace("Strike pHole{i}", "Strike pHole{2}"))
+    (note,) = (each for each in read.notes if "pHole" in each)
+    assert "pHole{1}" in note
+    assert "pHole{2}" not in note
+
+
 def test_tool_and_work_object_of_another_module_are_named() -> None:
     read = one("MoveL p1,v1,fine,tOther\\WObj:=wOther;")
     assert (read.tool, read.base) == (None, None)

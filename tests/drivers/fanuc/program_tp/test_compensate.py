@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from drivers.fanuc.program_tp import load_program
 from hilcell.cell.file import load_cell
-from hilcell.geometry.frames import apply, inverse, poses_from_zyx, zyx_from_pose
+from hilcell.geometry.frames import apply, inverse, pose_from_zyx, poses_from_zyx, zyx_from_pose
 from tests.drivers.fanuc.program_tp.samples import LISTING, listing, position
 from tests.hilcell.calibration.calibrations import T_W_B, calibration
 from tests.hilcell.commands import workplace
@@ -73,7 +74,7 @@ def test_positions_in_frame_0_are_in_the_root(desk: Workplace) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "token"),
     [
-        (L2, "L P[2] 500mm/sec FINE Offset,PR[1]", "drill.ls line 5: L P[2]"),
+        (L2, "L P[2] 500mm/sec FINE Offset,PR[1]", "drill.ls line 5 (statement 1): L P[2]"),
         ("1200.000", "9000.000", "P[2] (drill.ls line 7)"),
         ("75.000", "85.000", "9.90 deg"),
         ("1,*,*,*,*", "1,1,*,*,*", "drill.ls line 3: DEFAULT_GROUP"),
@@ -82,6 +83,17 @@ def test_positions_in_frame_0_are_in_the_root(desk: Workplace) -> None:
 def test_refused_and_nothing_written(desk: Workplace, old: str, new: str, token: str) -> None:
     desk.program(listing([L2], position(2)).replace(old, new))
     assert token in desk.refused()
+
+
+def test_the_numbers_of_a_user_frame_are_printed_as_the_pendant_has_them(desk: Workplace) -> None:
+    desk.program(listing([L2], position(2)))
+    said = desk.run().stderr
+    match = re.search(r"X (\S+) Y (\S+) Z (\S+) W (\S+) P (\S+) R (\S+)", said)
+    assert match is not None, said
+    x, y, z, w, p, r = map(float, match.groups())
+    entered = pose_from_zyx(x, y, z, r, p, w)
+    np.testing.assert_allclose(entered, inverse(T_W_B), atol=6e-4)
+    assert "drill.ls: drill.ls" not in said
 
 
 @pytest.mark.parametrize(("config", "code"), [("F U T", 0), ("N U T", 2), ("F D T", 2)])

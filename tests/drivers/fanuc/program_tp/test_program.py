@@ -154,7 +154,7 @@ def test_all_but_the_numbers_of_targets_is_unchanged(places_mm: list[float]) -> 
 def test_refused_by_line(statement: str, reason: str) -> None:
     """The statement is the second, in line 6."""
     (problem,) = refusals(listing([L2, statement, L3], HOME + position(2) + position(3)))
-    assert problem.startswith("drill.ls line 6: ")
+    assert problem.startswith("drill.ls line 6 (statement 2): ")
     assert reason in problem
     assert len(problem.splitlines()) == 1
 
@@ -181,7 +181,7 @@ def test_refused_by_line(statement: str, reason: str) -> None:
 )
 def test_positions_that_a_motion_cannot_be_corrected_at(stated: str, reason: str) -> None:
     (problem,) = refusals(listing([L2, L3], HOME + position(2) + stated))
-    assert problem.startswith("drill.ls line 6: L P[3] 500mm/sec FINE: ")
+    assert problem.startswith("drill.ls line 6 (statement 2): L P[3] 500mm/sec FINE: ")
     assert reason in problem
     read = read_program("drill.ls", listing([L2], HOME + position(2) + stated))
     assert len(read.targets) == 1, "one that no motion uses is left"
@@ -202,7 +202,8 @@ def test_positions_that_a_motion_cannot_be_corrected_at(stated: str, reason: str
 )
 def test_homes_and_frames(statements: list[str], line: int, reason: str) -> None:
     (problem,) = refusals(listing(statements, HOME + position(2) + position(3)))
-    assert problem.startswith(f"drill.ls line {line}: ")
+    statement = f" (statement {line - 4})" if line > 4 else ""
+    assert problem.startswith(f"drill.ls line {line}{statement}: ")
     assert reason in problem
 
 
@@ -286,7 +287,9 @@ def test_numbers_of_many_digits() -> None:
     many = 5000 * "9"
     assert "it is no position" in refusals(listing([L2], position(2) + f"P[{many}]{{\n}};\n"))[0]
     for statement in (f"L P[{many}] 9mm/sec FINE", f"  UFRAME_NUM={many}"):
-        assert refusals(listing([L2, statement], position(2)))[0].startswith("drill.ls line 6: ")
+        assert refusals(listing([L2, statement], position(2)))[0].startswith(
+            "drill.ls line 6 (statement 2): "
+        )
     assert "no number of a frame" in refusals(listing([L2], position(2, uf=many)))[0]
     counted = listing([L2], position(2)).replace("/MN", f"LINE_COUNT = {many};\n/MN")
     read = read_program("drill.ls", counted)
@@ -295,7 +298,7 @@ def test_numbers_of_many_digits() -> None:
 
 def test_every_refusal_is_listed_and_cleaned() -> None:
     found = refusals(listing(["  A\x1b[2J", L2, "  B" + 90 * "+"], position(2)))
-    assert [each[:16] for each in found] == ["drill.ls line 5:", "drill.ls line 7:"]
+    assert [each[:15] for each in found] == ["drill.ls line 5", "drill.ls line 7"]
     assert "\x1b" not in "".join(found)
     assert "...:" in found[1]
 

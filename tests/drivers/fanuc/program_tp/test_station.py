@@ -57,6 +57,12 @@ def test_its_positions_are_those_of_the_holes_in_the_root(program: StationProgra
     np.testing.assert_allclose(poses[moves[0][1]], safe, atol=1e-3)
 
 
+def test_its_tool_is_given_by_the_numbers_of_the_pendant(program: StationProgram) -> None:
+    x, y, z = CELL.robot.smr_mm
+    remarks = " ".join(re.findall(r"!(.*?) *;", written(program)))
+    assert f"UT 1 must be X {x:.3f} Y {y:.3f} Z {z:.3f} W 0.000 P 0.000 R 0.000" in remarks
+
+
 def test_its_order_of_motions(program: StationProgram) -> None:
     _, moves = parsed(written(program))
     names = [f"{kind} {re.sub(r'P.[0-9]+:|]', '', name)}" for kind, name in moves]
