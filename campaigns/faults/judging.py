@@ -57,7 +57,8 @@ def judged(fault: Fault, case: Case, ran: Ran, undisturbed: Ran) -> Judged:
     if letter not in fault.ends + ALSO.get(case.phase, ""):
         problems.append(f"{WORDS[letter]}, expected one of {fault.ends}")
     codes = fault.codes or ("HC-",)
-    if "HC-R" in codes and case.phase in ASKED_AT_THE_CLOSE:
+    of_abb = case.cell == "abb" and case.phase is Phase.TEARDOWN  # it must see the arm at rest, too
+    if of_abb or ("HC-R" in codes and case.phase in ASKED_AT_THE_CLOSE):
         codes = (*codes, NOT_AT_REST)
     if (letter == "S" or code) and not code.startswith(codes):
         problems.append(f"alarm {code}")
