@@ -1,9 +1,9 @@
-"""``python -m benchmarks.combinations``: every pair of devices, each calibrated to its end.
+"""``python -m benchmarks.combinations``: docs/combinations.md, each pair of devices calibrated.
 
-A Markdown table: by robot, tracker and rail the outcome, the mean error
-before and after correction, the floor that the instrument's noise sets, and the engine's processor
-time a point. Drivers are found by their entry points; robots of Universal Robots work in cell
-`lab`, those of ABB in `abb`, all others in `paper`. An axis E1 belongs to a KUKA.
+By robot, tracker and rail: the outcome, the mean error before and after correction, the floor that
+the instrument's noise sets, and the engine's processor time a point. Drivers are those of the entry
+points; robots of Universal Robots work in cell `lab`, those of ABB in `abb`, all others in `paper`.
+An axis E1 belongs to a KUKA.
 """
 
 from __future__ import annotations
@@ -36,6 +36,11 @@ COARSE = {  # tolerances and numbers of samples that fit the instrument (docs/ha
     ],
 }  # fmt: skip
 HEAD = (
+    "# Combinations\n\n"
+    "Each installed robot driver with each tracker and rail driver, calibrated over the wires of "
+    "simulated devices, grid's station. Written by `python -m benchmarks.combinations`, which "
+    "names the tolerances that it takes for total stations and trackers that do not stream. Exit 0 "
+    "is a calibration within them.\n\n"
     "| cell | robot | tracker | rail | exit | mean before mm | mean after mm | floor mm | points "
     "| engine ms a point |\n|---|---|---|---|---|---|---|---|---|---|"
 )
