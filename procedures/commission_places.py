@@ -39,6 +39,7 @@ SAME_MM = 20.0  # two readings nearer than this are of one nest
 NEAR_MM = 20.0  # around a place that is predicted
 ROLES = (" (the origin of {W})", " (on the x axis of {W})", " (in its xy plane)")
 LEAST_SIDE_MM = 300.0  # of the triangle that defines {W}
+STEEPEST_DEG = 80.0  # of its plane: the upper side of a steeper one is not certain
 AIM_S = 20.0  # that a person takes for a nest
 WIGGLE_DEG, WIGGLE_PERCENT = 1.0, 1.0
 SEARCH_MM = 100.0  # around a reflector that moved by a degree of an axis
@@ -123,7 +124,7 @@ class FindTracker(_Proving):
             holds=bool(values),
             found=f"{len(seen)} nests" + ("" if values else ", of which no frame follows"),
             expected=f"{', '.join(names)}; each of the first three >= {LEAST_SIDE_MM:g} mm from "
-            "the line through the other two",
+            f"the line through the other two, their plane not steeper than {STEEPEST_DEG:g} deg",
             values=values,
         )
 
@@ -184,13 +185,16 @@ def world_of(floor_mm: Array) -> Array | None:
     """Return {W}, (4, 4) from the tracker's frame, of floor nests (N, 3) in that frame: the origin
     in the first, x to the second, the third in the xy plane, z upward as the tracker stands.
 
-    None where the first three are too close together, or to a line, to define a frame.
+    None where the first three are too close together, to a line, or to an upright plane, to
+    define a frame.
     """
     corners_mm = floor_mm[:3]
     sides_mm = np.linalg.norm(corners_mm - np.roll(corners_mm, 1, axis=0), axis=1)
     normal_mm2 = np.cross(corners_mm[1] - corners_mm[0], corners_mm[2] - corners_mm[0])
     least_mm2 = LEAST_SIDE_MM * sides_mm.max()  # its least height is on its longest side
     if not np.linalg.norm(normal_mm2) >= least_mm2 > 0.0:
+        return None
+    if not abs(unit(normal_mm2)[2]) >= np.cos(np.radians(STEEPEST_DEG)):
         return None
     x = unit(corners_mm[1] - corners_mm[0])
     z = unit(normal_mm2) * (1.0 if normal_mm2[2] > 0.0 else -1.0)
