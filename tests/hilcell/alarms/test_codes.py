@@ -7,7 +7,7 @@ from pathlib import Path
 
 from drivers.canopen import cia
 from drivers.leica import emscon
-from fakes.exercises import EXERCISES
+from fakes.exercises import ALARMS, EXERCISES
 from hilcell.alarms.catalogue import Entry, catalogue, entries_of, entry_of
 from hilcell.model.records import EVENTS
 from hilcell.model.verdicts import verdict_type
@@ -17,7 +17,9 @@ ROOT = Path(__file__).parents[3]
 ROOMS = ("hilcell", "drivers", "procedures", "fakes")
 CODE = re.compile(r'"(HC-[A-Z]\d\d)"')
 FAMILY = re.compile(r"class (\w+)\((?:DeviceError|DeviceRefused|NoReading)\)")
-PRACTISED = {exercise.alarm for exercise in EXERCISES}
+PRACTISED = {exercise.alarm for exercise in EXERCISES}.union(
+    *(each.values() for each in ALARMS.values())
+)
 OWN_WORDS = {"Aborted", "ConnectFailed", "Unsupported"}  # their own __init__ names the code
 EVENT = re.compile(r'"what": "([\w ]+)"|(?:\.event|\._note)\(\s*"([\w ]+)"')
 
