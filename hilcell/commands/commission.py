@@ -36,6 +36,7 @@ from hilcell.report.pdf import find_browser, pdf_of
 from hilcell.run.control import MEASURED_S, order
 from hilcell.run.engine import NewEngine
 from hilcell.run.order import Order
+from hilcell.run.signals import signals_restored
 
 ANSWER_S = 0.2
 MOST_LINES = 1000  # typed ahead
@@ -169,7 +170,7 @@ class Terminal:
         )
         say: Callable[[str], object] = print_message
         plan = ordered.check(say)
-        with NewEngine(ordered, plan, say) as engine:
+        with signals_restored(), NewEngine(ordered, plan, say) as engine:
             output = _AnsweringOutput(plan.folder, plan.points, plan.cell, self.dialogue)
             code, fault, _ = engine.run(output)
             log: Log = engine.journal.log

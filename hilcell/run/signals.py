@@ -20,13 +20,26 @@ COMMANDS = {signal.SIGINT: "interrupt", signal.SIGTERM: "terminate", signal.SIGH
 def note_signals() -> list[signal.Signals]:
     """Note SIGTERM, SIGINT and SIGHUP in the returned list until the process ends.
 
-    The handlers stay: after a restoration a late signal would change the exit code.
+    The handlers stay: after a restoration a late signal would change the exit code. A process that
+    works on after its run restores them by `signals_restored`.
     """
     noted: list[signal.Signals] = []
     if threading.current_thread() is threading.main_thread():
         for number in COMMANDS:
             signal.signal(number, lambda number, _: noted.append(signal.Signals(number)))
     return noted
+
+
+@contextmanager
+def signals_restored() -> Iterator[None]:
+    """Restore what handles signals at the block's end."""
+    before = {number: signal.getsignal(number) for number in COMMANDS}
+    try:
+        yield
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
 
 @contextmanager

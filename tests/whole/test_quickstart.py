@@ -3,6 +3,7 @@
 import json
 import re
 import shlex
+import signal
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -105,6 +106,29 @@ def test_input_that_ends_within_a_run_stops_it(tmp_path: Path) -> None:
         )
     assert done.returncode in (2, 4)
     assert "the input has ended" in done.stderr
+
+
+def test_ctrl_c_ends_it_at_a_question_after_a_run_too(tmp_path: Path) -> None:
+    """The question is whether the robot may move: nothing may move after it."""
+    words = ("--cell", "fixed", "--set", "layout.reflectors=by_hand", "--speed", "max")
+    with (
+        sim_command(*words, "--ports", "robot=0,tracker=0,control=0") as shop_cell,
+        subprocess.Popen(
+            [*HILCELL, "quickstart", "mycell.toml"], stdin=subprocess.PIPE,
+            stderr=subprocess.PIPE, text=True, cwd=tmp_path,
+        ) as asking,
+    ):  # fmt: skip
+        assert asking.stdin is not None
+        assert asking.stderr is not None
+        answers = ["HC-7", shop_cell.control, "kuka-c3", "leica-emscon", "", "floor", ""]
+        for more in ([*answers, ""], ["y", ""]):
+            asking.stdin.write("\n".join(more))
+            asking.stdin.flush()
+            while "another answer moves nothing" not in (line := asking.stderr.readline()):
+                assert line, "it has ended"
+        asking.send_signal(signal.SIGINT)
+        assert asking.wait() == 4
+        assert "interrupted" in asking.stderr.read()
 
 
 def test_input_that_ends_is_told_how_to_go_on(tmp_path: Path) -> None:
