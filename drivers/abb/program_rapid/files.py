@@ -29,6 +29,9 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.abb.program_rapid.data import (
+    CLOSES,
+    OPENS,
+    OPERATORS,
     Arguments,
     Datum,
     Module,
@@ -98,6 +101,15 @@ MOVES_NOTHING = (
     "WAITUNTIL", "WORLDACCLIM", "WRITE", "WRITEANYBIN", "WRITEBIN", "WRITESTRBIN", "WZBOXDEF",
     "WZCYLDEF", "WZDISABLE", "WZDOSET", "WZENABLE", "WZFREE", "WZLIMSUP", "WZSPHDEF",
 )  # fmt: skip
+READS_FRAMES = {  # instructions and functions that change no tool or work object that they get
+    *MOTIONS, "MOVEABSJ", "ERRLOG", "ERRWRITE", "GRIPLOAD", "IPERS", "MECHUNITLOAD", "RETURN",
+    "SETAO", "SETGO", "SETSYSDATA", "TPWRITE", "UIMSGWRITE", "WAITTIME", "WAITUNTIL", "WRITE",
+    "WRITEANYBIN", "WRITEBIN", "WRITESTRBIN", "WZBOXDEF", "WZCYLDEF", "WZSPHDEF",
+    "ABS", "ARGNAME", "CALCJOINTT", "CALCROBT", "CPOS", "CROBT", "CROSSPROD", "DEFACCFRAME",
+    "DEFDFRAME", "DEFFRAME", "DISTANCE", "DOTPROD", "EULERZYX", "ISPERS", "ISVAR", "MIRPOS",
+    "NORIENT", "NUMTOSTR", "OFFS", "ORIENTZYX", "POSEINV", "POSEMULT", "POSEVECT", "PRESENT",
+    "RELTOOL", "ROUND", "SQRT", "TRUNC", "VALTOSTR", "VECTMAGN",
+}  # fmt: skip
 WORDS = ("IF", "ELSEIF", "ELSE", "ENDIF", "WHILE", "ENDWHILE", "FOR", "ENDFOR", "TEST", "CASE",
          "DEFAULT", "ENDTEST", "ERROR", "UNDO", "BACKWARD")  # fmt: skip
 HOME = re.compile(
@@ -168,9 +180,10 @@ class _Reader:
         self._strokes: list[tuple[int, str, Place]] = []
         self._frames: dict[str, Frame] = {}  # of all motions, by "tool" and "work object"
         self._elements_of: dict[str, dict[str, object]] = {}  # robtargets of data, as in `targets`
-        self._places = set[int]()  # of names that are a motion's target, by character
+        self._places = set[int]()  # of names that a motion works with, by character
         self._used_names = set[tuple[str, str]]()  # names of targets, by the routine of that name
         self._known_frames: dict[str, Frame] = {}  # those that motions name
+        self._changed: dict[tuple[str, str], bool] = {}  # parameters that get one, by routine
         self._motions_in: dict[Frame, set[int]] = {}  # lines, by tool or work object with a defect
         self._external: list[tuple[int, str, tuple[float | None, ...]]] = []  # of joint targets
         self._left: dict[str, int] = {}  # remarks on parts left unchanged, by their first line
@@ -293,6 +306,7 @@ class _Reader:
             return
         frames = {"tool": arguments.placed[tool_at], "work object": arguments.named.get("WOBJ", ())}
         for what, tokens in frames.items():
+            self._places.update(token.start for token in tokens)
             self._set_frame(what, self._frames_of(routine, what, tokens), statement.line)
 
     def _check_synchronous(self, placed: Sequence[Sequence[Token]]) -> None:
@@ -574,10 +588,11 @@ class _Reader:
         for at, token in enumerate(tokens):
             if not token.word or token.start in self._places:
                 continue
+            if _is_of_another(tokens, at):
+                continue
             if token.word in self._known_frames and token.word not in routine.locals:
                 self._check_frame_use(statement, at)
-            is_other = at and tokens[at - 1].text in (".", "\\")  # a component, or an option
-            if is_other or (routine.name, token.word) not in self._used_names:
+            if (routine.name, token.word) not in self._used_names:
                 continue
             if _is_assigned(tokens, at):
                 raise RapidError(f"{token.text} is changed at run time")
@@ -618,14 +633,36 @@ class _Reader:
                         self._problems.setdefault(datum.line, f"{problem} there too")
 
     def _check_frame_use(self, statement: Statement, at: int) -> None:
-        token, head = statement.tokens[at], statement.head
-        if _is_assigned(statement.tokens, at):
+        tokens, token = statement.tokens, statement.tokens[at]
+        if _is_assigned(tokens, at):
             raise RapidError(f"{token.text} is changed at run time, and motions work in it")
-        known = (MOTIONS, MOVES_NOTHING, WORDS, self._module.routines, ("MOVEABSJ",))
-        if not any(head in names for names in known) and not _assigns(statement.tokens):
-            raise RapidError(
-                f"{statement.tokens[0].text} may change {token.text}, and motions work in it"
+        name, handed = _call_around(tokens, at)
+        if called := self._module.routines.get(name.word):
+            is_changed = any(
+                parameter.may_change
+                and token in value[:1]
+                and self._is_changed(called, parameter.name)
+                for parameter, value in called.matched(Arguments.of(handed))
             )
+        else:
+            is_assignment = name is tokens[0] and _assigns(tokens)
+            is_changed = not (is_assignment or name.word in READS_FRAMES or name.word in WORDS)
+        if is_changed:
+            raise RapidError(f"{name.text} may change {token.text}, and motions work in it")
+
+    def _is_changed(self, routine: Routine, parameter: str) -> bool:
+        """Whether a routine may change what it gets for a parameter, by itself or by others."""
+        key = (routine.name, parameter)
+        if key not in self._changed:
+            self._changed[key] = False  # by a call within itself
+            try:
+                for statement in routine.statements:
+                    for at, token in enumerate(statement.tokens):
+                        if token.word == parameter and not _is_of_another(statement.tokens, at):
+                            self._check_frame_use(statement, at)
+            except RapidError:
+                self._changed[key] = True
+        return self._changed[key]
 
     # -- the result ---------------------------------------------------------------------------
 
@@ -716,6 +753,25 @@ def _is_assigned(tokens: Sequence[Token], at: int) -> bool:
     while at < len(tokens) and tokens[at].text in (".", "{"):
         at = closing(tokens, at) + 1 if tokens[at].text == "{" else at + 2
     return at < len(tokens) and tokens[at].text == ":="
+
+
+def _is_of_another(tokens: Sequence[Token], at: int) -> bool:
+    """Whether the name at ``at`` is that of a component, or of an option."""
+    return at > 0 and tokens[at - 1].text in (".", "\\")
+
+
+def _call_around(tokens: Sequence[Token], at: int) -> tuple[Token, Sequence[Token]]:
+    """Return the name and arguments of the innermost call, of a function or the statement's own,
+    that the name at ``at`` is handed to.
+    """
+    depth = 0
+    for n in range(at - 1, 1, -1):
+        depth += (tokens[n].text in OPENS) - (tokens[n].text in CLOSES)
+        if depth > 0:
+            depth, name = 0, tokens[n - 1]
+            if tokens[n].text == "(" and name.word and name.word not in OPERATORS:
+                return name, tokens[n + 1 : closing(tokens, n)]
+    return tokens[0], tokens[1:-1]
 
 
 def _elements(name: str, value: object, index: str = "") -> Iterator[tuple[str, object]]:

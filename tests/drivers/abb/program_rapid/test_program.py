@@ -299,6 +299,65 @@ def test_handlers_and_traps_that_move_are_refused(block: str, moves: str) -> Non
         module(text.format(block.format(moves)))
 
 
+@pytest.mark.parametrize(
+    ("body", "refused"),
+    [
+        ("Shift w;", True),
+        ("Outer w;", True),
+        ("Shift w.oframe;", True),
+        ("IF di1 = 1 Shift w;", True),
+        ("Lengthen\\tt:=t;", True),
+        ("x := Moved(w);", True),
+        ("x := (Moved(w) + 1) * 2;", True),
+        ("IF Moved(w) > 1 THEN\nENDIF", True),
+        ("x := Foreign(w);", True),
+        ("Add w.oframe.trans.z, 5;", True),
+        ("Read w;", False),
+        ("x := PoseInv(w.oframe);", False),
+        ("pX := CRobT(\\Tool:=t\\WObj:=w);", False),
+        ("x := Moved(rec.w);", False),
+        ("Copy w;", False),
+        ("Copy 2 * (w.oframe.trans.z);", False),
+        ("Itself w;", False),
+    ],
+)
+def test_own_routines_that_may_change_a_frame(body: str, *, refused: bool) -> None:
+    """By a PERS, INOUT or VAR parameter, that they assign or pass on; a copy is free."""
+    own = """PROC Shift(PERS wobjdata o)
+o.oframe.trans.z:=o.oframe.trans.z+5;
+ENDPROC
+PROC Outer(INOUT wobjdata a)
+Shift a;
+ENDPROC
+PROC Lengthen(\\PERS tooldata tt)
+Incr tt.tframe.trans.z;
+ENDPROC
+FUNC num Moved(VAR wobjdata o)
+o:=wobj0;
+RETURN 1;
+ENDFUNC
+PROC Copy(wobjdata o)
+o.oframe.trans.z:=5;
+ENDPROC
+PROC Read(PERS wobjdata o)
+TPWrite "z"\\Num:=o.oframe.trans.z;
+MoveL p2,v1,fine,t\\WObj:=o;
+ENDPROC
+PROC Itself(PERS wobjdata o)
+Itself o;
+ENDPROC
+"""
+    text = f"PROC main()\nMoveL p1,v1,fine,t\\WObj:=w;\n{body}\nENDPROC\n{own}"
+    if not refused:
+        module(text)
+        return
+    with pytest.raises(SettingsError) as raised:
+        module(text)
+    (problem,) = raised.value.problems
+    assert problem.startswith(f"drill.mod line {BODY + 1}: ")
+    assert problem.endswith("and motions work in it")
+
+
 def test_a_routine_that_only_other_modules_call() -> None:
     text = "PROC At(robtarget p,PERS tooldata tt)\nMoveL Offs(p,0,0,1),v1,fine,tt;\nENDPROC\n"
     read = module(f"{text}PROC main()\n{MOVE}ENDPROC\n")
