@@ -40,7 +40,8 @@ from hilcell.cell.settings import SettingsError
 from hilcell.clock import WallClock
 from hilcell.commands.console import print_data, print_json
 from hilcell.commands.signatures import Doctor
-from hilcell.errors import EXIT_REFUSED
+from hilcell.commission.first_steps import Addresses, running
+from hilcell.errors import EXIT_REFUSED, HilcellError
 from hilcell.journal.disk_space import bytes_free, bytes_needed, nearest_existing
 from hilcell.journal.journal import StorageError
 from hilcell.ports import DeviceError, Inspects, StatesSettings
@@ -298,10 +299,17 @@ def _devices(where: str, overrides: dict[str, str]) -> dict[str, Finding]:
     """Check the addresses of a cell's devices; raises `SettingsError`."""
     cell = load_measured(where, overrides)
     check_options(cell)
+    addresses: Addresses = {}
     if cell.simulation is not None:
-        return {"cell": Finding("ok", f"{cell.name}: simulated; a run starts its devices")}
+        if not cell.simulation.address:
+            return {"cell": Finding("ok", f"{cell.name}: simulated; a run starts its devices")}
+        try:
+            with running(cell) as simulated:
+                addresses = simulated.options
+        except HilcellError as error:
+            return {"cell": Finding("wrong", str(error), "start `hilcell sim`")}
     checked: dict[str, Finding] = {}
-    for place, tables in device_addresses(cell, {}).items():
+    for place, tables in device_addresses(cell, addresses).items():
         if tables == ["rail"] and not cell.has_rail:
             continue
         check = f"{' and '.join(tables)} at {place}"
@@ -309,18 +317,18 @@ def _devices(where: str, overrides: dict[str, str]) -> dict[str, Finding]:
             with locked(lock_of_device(place), check, "hilcell doctor"):
                 checked[check] = _place(place)
                 if "robot" in tables and checked[check].found == CONNECTED:
-                    checked["robot's settings"] = robot_settings(cell)
+                    checked["robot's settings"] = robot_settings(cell, addresses)
         except CellLocked as error:
             checked[check] = Finding("ok", f"in use: {error}")
     return checked
 
 
-def robot_settings(cell: Cell) -> Finding:
+def robot_settings(cell: Cell, addresses: Addresses) -> Finding:
     """Compare the robot's controller with the cell file and with what its driver needs; reads only.
 
     Its tool and limits, and its abilities that are mandatory.
     """
-    kind, options = driver_options(cell, "robot", {})
+    kind, options = driver_options(cell, "robot", addresses.get("robot", {}))
     robot, found = kind(options, WallClock(threading.Event())), list[str]()
     if not isinstance(robot, StatesSettings | Inspects):
         return Finding("ok", "not compared: the driver does not read them")

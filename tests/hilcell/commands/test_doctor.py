@@ -27,7 +27,8 @@ from hilcell.run.cell_lock import lock_of_device, locked
 from tests.fakes.conftest import served, simulated_site
 from tests.fakes.wires import C3Client
 from tests.hilcell.cell.packages import install
-from tests.whole.bench import command
+from tests.whole.bench import command, sim_command
+from tests.whole.halls import FREE_PORTS
 
 pytestmark = pytest.mark.waits
 
@@ -263,3 +264,17 @@ def test_what_the_driver_needs_of_a_controller_is_named(
     assert found["state"] == ("wrong" if words else "ok"), found
     assert all(word in found["found"] + found["do"] for word in words), found
     assert not site.truth.robot.moving
+
+
+@pytest.mark.process
+def test_the_devices_of_a_running_simulated_cell_are_looked_at_like_real_ones(
+    tmp_path: Path,
+) -> None:
+    with sim_command("--cell", "abb", "--ports", FREE_PORTS) as hall:
+        at = ("--cell", "abb", "--set", f"simulation.address={hall.control}")
+        sound = checks(tmp_path, *at)
+        other = checks(tmp_path, *at, "--set", "robot.options.model=IRB 4600")
+    assert sound["robot's settings"]["state"] == "ok"
+    assert other["robot's settings"]["state"] == "wrong"
+    assert "IRB 4600" in other["robot's settings"]["found"]
+    assert checks(tmp_path, *at)["cell"]["do"] == "start `hilcell sim`"
