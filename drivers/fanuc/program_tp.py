@@ -227,13 +227,8 @@ class Target:
         if match[3] == "B":
             raise TpError(f"{name} is behind axis 1 (CONFIG {config}): only T is corrected")
         frame, tool = (cls._numbered(name, key, fields[key].text) for key in ("UF", "UT"))
-        numbers = {key: cls._value(name, key, fields[key], UNITS[key])[0] for key in POSE}
-        external = {
-            key: (each.value, unit)
-            for key in EXTERNAL
-            if key in fields
-            for each, unit in [cls._value(name, key, fields[key], LENGTHS + ANGLES)]
-        }
+        numbers = {key: _value(name, key, fields[key], UNITS[key])[0] for key in POSE}
+        external = external_axes(name, fields)
         known = {*POSE, "UF", "UT", "CONFIG", *external}
         if other := [each for each in fields if each not in known]:
             raise TpError(f"{name} states {', '.join(other)}, which hilcell does not read")
@@ -247,14 +242,24 @@ class Target:
             raise TpError(f"{name}: {key} {clean(text)} is no number of a frame")
         return int(text)
 
-    @staticmethod
-    def _value(name: str, key: str, stated: Number, units: tuple[str, ...]) -> tuple[Number, str]:
-        match = _VALUE.fullmatch(stated.text)
-        if match is None or match[2].lower() not in units or not math.isfinite(float(match[1])):
-            expected = f"expected a number of {' or '.join(units)}"
-            raise TpError(f"{name}: {key} = {clean(stated.text)}: {expected}")
-        number = Number(match[1], stated.start, stated.start + len(match[1]))
-        return number, match[2].lower()
+
+def external_axes(name: str, fields: Mapping[str, Number]) -> dict[str, tuple[float, str]]:
+    """Return the values and units of the external axes of a position; raises `TpError`."""
+    return {
+        key: (number.value, unit)
+        for key in EXTERNAL
+        if key in fields
+        for number, unit in [_value(name, key, fields[key], LENGTHS + ANGLES)]
+    }
+
+
+def _value(name: str, key: str, stated: Number, units: tuple[str, ...]) -> tuple[Number, str]:
+    match = _VALUE.fullmatch(stated.text)
+    if match is None or match[2].lower() not in units or not math.isfinite(float(match[1])):
+        expected = f"expected a number of {' or '.join(units)}"
+        raise TpError(f"{name}: {key} = {clean(stated.text)}: {expected}")
+    number = Number(match[1], stated.start, stated.start + len(match[1]))
+    return number, match[2].lower()
 
 
 def posture(arm: Arm, status: int) -> str:
@@ -465,6 +470,7 @@ class _Reader:
         self._targets: dict[int, Target] = {}
         self._moves = list[int]()  # lines of motions to a target
         self._homes: dict[int, str] = {}  # by line
+        self._external_at: dict[int, tuple[str, Mapping[str, tuple[float, str]]]] = {}  # of homes
         self._passed = list[int]()  # lines of motions that do not stop at their target
         self._set: dict[str, dict[int, int]] = {"UFRAME": {}, "UTOOL": {}}  # numbers by line
         self._called: dict[str, int] = {}  # other programs, by their first line
@@ -586,6 +592,7 @@ class _Reader:
             fields = position.fields()
             if JOINTS & fields.keys():
                 self._home(kind, statement.line, name, "is given as joint angles")
+                self._external_at[statement.line] = name, external_axes(name, fields)
                 return
             self._targets[position.index] = Target.of(position, fields)
         self._moves.append(statement.line)
@@ -667,13 +674,20 @@ class _Reader:
         first, *others = self._targets.values()
         for each in others:
             if each.external != first.external:
-                axes = f"has {_axes(each)}, {first.where} has {_axes(first)}"
+                axes = f"has {_axes(each.external)}, {first.where} has {_axes(first.external)}"
                 problem = f"P[{each.position.index}] {axes}: a program is corrected for one station"
                 self._problems.append((each.position.line, problem))
+        for line, (name, external) in self._external_at.items():
+            if external.keys() - first.external.keys():
+                problem = (
+                    f"{name} has {_axes(external)}, and {first.where} has {_axes(first.external)}: "
+                    "where the slide stands there is not known; state it in both, or in none"
+                )
+                self._problems.append((line, problem))
 
 
-def _axes(target: Target) -> str:
-    found = (f"{name} {value:g} {unit}" for name, (value, unit) in target.external.items())
+def _axes(external: Mapping[str, tuple[float, str]]) -> str:
+    found = (f"{name} {value:g} {unit}" for name, (value, unit) in external.items())
     return ", ".join(found) or "no external axis"
 
 

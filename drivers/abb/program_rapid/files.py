@@ -185,7 +185,7 @@ class _Reader:
         self._known_frames: dict[str, Frame] = {}  # those that motions name
         self._changed: dict[tuple[str, str], bool] = {}  # parameters that get one, by routine
         self._motions_in: dict[Frame, set[int]] = {}  # lines, by tool or work object with a defect
-        self._external: list[tuple[int, str, tuple[float | None, ...]]] = []  # of joint targets
+        self._external: list[tuple[int, str, tuple[float | None, ...]]] = []  # of homes
         self._left: dict[str, int] = {}  # remarks on parts left unchanged, by their first line
         self._calls: dict[str, list[Call]] = {}
         for routine, statement in self._all():
@@ -340,7 +340,9 @@ class _Reader:
             return self._beside(routine, tokens)
         if is_home(first.text) and not routine.takes(first.word):
             remark = f"home pose {first.text} is left unchanged: no hole may be there"
-            self._left.setdefault(remark, self._module.line(first.start))
+            line = self._module.line(first.start)
+            self._left.setdefault(remark, line)
+            self._note_external(routine, tokens, line)
             return []
         self._places.add(first.start)
         return [Place(key) for key in self._named(routine, tokens)]
@@ -552,12 +554,15 @@ class _Reader:
                 self._note_external(routine, stated, statement.line)
 
     def _note_external(self, routine: Routine, stated: Sequence[Token], line: int) -> None:
-        """Take the external axes of a joint target, where it has numbers in this module."""
+        """Take the external axes of what is left unchanged, where it has numbers in this module."""
         datum = self._module.datum(stated[0].word, routine) if stated else None
         value = structure(datum.value if datum else stated)
-        if isinstance(value, list) and len(value) == 2:
-            external = tuple(map(_axis, floats(value[1], 6, "its extax")))
-            self._external.append((line, quoted(stated), external))
+        for each in (each for _, each in _elements("", value) if isinstance(each, list)):
+            try:
+                external = tuple(map(_axis, floats(each[-1], 6, "its extax")))
+                self._external.append((line, quoted(stated), external))
+            except RapidError as error:
+                self._problems.setdefault(line, f"{quoted(stated)}: {error}")
 
     def _check_external(self) -> None:
         """Refuse targets at which external axes stand elsewhere than at the first one."""

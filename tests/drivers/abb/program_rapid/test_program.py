@@ -189,6 +189,7 @@ MOVE = "MoveL p1,v1,fine,t;\n"
         (f'{MOVE}MoveLSync p2,v1,z1,t,"Rise";', 1, "its routine RISE moves, or is not in this"),
         (f"{MOVE}MoveAbsJ j1,v1,fine,t;\n{MOVE}", 1, "a joint target may be a hole"),
         (f"MoveAbsJ j1\\ID:=1,v1,fine,t;\n{MOVE}", 0, "several robots move together"),
+        (f"MoveAbsJ [[0,0,0,0,0,0],[x,0]],v1,fine,t;\n{MOVE}", 0, "its extax is not 6 numbers"),
         (f'{MOVE}TPWrite "open;', 1, "a string does not end on its line"),
         ("MoveL h{3},v1,fine,t;", 0, "h{3} is no element of h"),
     ],
@@ -366,6 +367,35 @@ def test_a_routine_that_only_other_modules_call() -> None:
     assert sum("no call in this module passes P to AT" in each for each in read.notes) == 1
     with pytest.raises(SettingsError, match="its shift up is computed at run time"):
         module("PROC At(num up)\nMoveL Offs(p1,0,0,up),v1,fine,t;\nENDPROC\n")
+
+
+@pytest.mark.parametrize(
+    ("home", "axes", "refused"),
+    [
+        ("MoveJ pHome,v1,fine,t", "300", True),
+        ("MoveL Offs(pHome,0,0,9),v1,fine,t", "300", True),
+        ("MoveJ hHome{2},v1,fine,t", "300", True),
+        ("MoveAbsJ jHome,v1,fine,t", "300", True),
+        ("MoveJ pHome,v1,fine,t", "9E9", False),
+        ("MoveAbsJ jHome,v1,fine,t", "9E9", False),
+        ("MoveJ pHomeX,v1,fine,t", "300", False),
+    ],
+)
+def test_homes_that_move_the_slide_away_from_targets_that_do_not_say(
+    home: str, axes: str, *, refused: bool
+) -> None:
+    external = NONE.replace("9E+09", axes, 1)
+    pose = f"[[1,2,3],[1,0,0,0],[0,0,0,0],{external}]"
+    data = f"CONST robtarget pHome:={pose};\nCONST robtarget hHome{{2}}:=[{pose},{pose}];\n"
+    data += f"CONST jointtarget jHome:=[[0,0,0,0,90,0],{external}];\n"
+    stated = f"MoveL [[1,2,3],[1,0,0,0],[0,0,0,0],{external}],v1,fine,t;\n"
+    one(f"{home};\n{stated}", data)
+    if refused:
+        (problem,) = refusal(f"{home};\n{MOVE}", data).splitlines()
+        assert problem.startswith(f"drill.mod line {BODY + 3}: ")
+        assert "moves external axes, and the targets do not say where they stand" in problem
+    else:
+        one(f"{home};\n{MOVE}", data)
 
 
 def test_home_poses_are_left_unchanged_and_named() -> None:

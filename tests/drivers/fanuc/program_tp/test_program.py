@@ -30,6 +30,7 @@ from tests.drivers.fanuc.program_tp.samples import (
 
 ARM = load_cell("paper").robot.arm()
 L2, L3, J2 = "L P[2] 500mm/sec FINE", "L P[3] 500mm/sec FINE", "J P[2] 100% FINE"
+J1 = "J P[1] 100% FINE"
 
 
 def test_targets_are_the_positions_that_motions_use() -> None:
@@ -229,6 +230,20 @@ def test_one_frame_one_tool_one_station(given: str, reason: str) -> None:
     (problem,) = refusals(listing([L2, L3], position(2) + given))
     assert problem.startswith("drill.ls line 14: ")
     assert reason in problem
+
+
+@pytest.mark.parametrize("more", ["", ",\n\tE1= 300.000  mm"])
+def test_a_home_that_moves_the_slide_away_from_positions_that_do_not_say(more: str) -> None:
+    home = HOME.replace("deg\n}", f"deg{more}\n}}")
+    stated = read_program("drill.ls", listing([J1, L2], home + position(2, more=more)))
+    assert (stated.slide is None) == (not more)
+    text = listing([J1, L2], home + position(2))
+    if more:
+        (problem,) = refusals(text)
+        assert problem.startswith("drill.ls line 5 (statement 1): P[1] has E1 300 mm, and P[2] ")
+        assert problem.endswith("state it in both, or in none")
+    else:
+        read_program("drill.ls", text)
 
 
 @pytest.mark.parametrize(
