@@ -230,7 +230,7 @@ def declared(statement: Statement) -> Datum | None:
     if len(rest) < 4 or rest[0].word not in ("CONST", "VAR", "PERS"):
         return None
     at = closing(rest, 3) + 1 if rest[3].text == "{" else 3
-    value = rest[at + 1 : -1] if rest[at].text == ":=" else ()
+    value = rest[at + 1 : -1] if rest[at : at + 1] and rest[at].text == ":=" else ()
     return Datum(
         rest[2].word,
         rest[2].text,

@@ -475,6 +475,7 @@ def test_configurations_are_checked_where_the_controller_does() -> None:
     ["", "PROC main()\nENDPROC\n", "module golang", "MODULE m\nPROC a()\nENDMODULE\n",
      "MODULE m\nENDMODULE\n", "MODULE m\nPROC a()\nENDPROC\nPROC a()\nENDPROC\nENDMODULE\n",
      "MODULE m\nPROC a()\nPROC b()\nENDPROC\nENDMODULE\n", "MODULE", "MODULE m PROC a(",
+     "MODULE m\nCONST robtarget p{2}\n",
      "MODULE m\nCONST", "MODULE m LOCAL", "MODULE m IF", "MODULE m\nCONST num a:=[1,"],
 )  # fmt: skip
 def test_what_is_no_module_with_a_target(text: str) -> None:
