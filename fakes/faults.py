@@ -124,7 +124,7 @@ KNOWN = {
     "tracker.collimation": "its line of sight is off by this (urad), permanent | a measurement",
     "tracker.transit": "its transit axis tilts by this (urad), permanent | a measurement",
     "tracker.index": "its vertical circle is off by this (urad), permanent | a measurement",
-    "tracker.unadjusted": "all three of these are off by this (urad), until healed | a measurement",
+    "tracker.unadjusted": "all three are off by this (urad), until cleared | a measurement",
     "tracker.warming": "it turns by this in all as it warms up (urad), from now on | a measurement",
     "tracker.turning": "it turns by this in 1000 measurements (urad), from now on | a measurement",
     "tracker.wrong_offset": "the reflector has another offset (mm), permanent | a measurement",
@@ -154,6 +154,7 @@ KNOWN = {
     "tracker.t2sa_simulation": "T2SA: simulation is not switched off | a connect",
     "tracker.wrong_target": "it finds another SMR, this far off (mm) | a search",
 }
+LASTING = frozenset({"tracker.unadjusted"})  # until they are cleared, whatever their count
 TEXTS = frozenset({"robot.bad_number", "robot.wrong_identity", "tracker.bad_number"})
 
 
@@ -167,6 +168,7 @@ class Fault(Struct, kw_only=True):
     at_rest: bool = False  # polls at rest are occasions, too, like those of a motion
 
     def __post_init__(self) -> None:
+        self.count = UNTIL_CLEARED if self.name in LASTING else self.count
         if self.name not in KNOWN:
             hint = did_you_mean(self.name, KNOWN) or f"; known: {', '.join(KNOWN)}"
             raise ValueError(f"name: unknown fault {self.name!r}{hint}")

@@ -29,6 +29,15 @@ def test_count_zero_strikes_until_cleared() -> None:
     assert not faults.any_armed
 
 
+def test_what_lasts_until_cleared_needs_no_count() -> None:
+    faults = Faults()
+    faults.set("tracker.unadjusted", 60.0, after=1)
+    struck = [faults.number("tracker.unadjusted") for _ in range(50)]
+    assert struck == [None, *[60.0] * 49]
+    faults.clear()
+    assert faults.number("tracker.unadjusted") is None
+
+
 def test_unknown_name_is_refused_with_the_nearest() -> None:
     with pytest.raises(SettingsError, match=r"rail\.heartbeat_loss"):
         Faults().set("rail.heartbeat_los")

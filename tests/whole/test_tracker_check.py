@@ -60,7 +60,7 @@ def test_a_fault_fails_its_verdict(
     tmp_path: Path, fault: str, value: float, key: str, alarm: str
 ) -> None:
     with simulation() as cell:
-        cell.strike(fault, value, count=0 if fault == "tracker.unadjusted" else 1)
+        cell.strike(fault, value)
         run = ran(tmp_path, "tracker-check", {"simulation.address": cell.control})
     assert (run.end["state"], run.end["exit"]) == ("finished", 1), run.done.stderr
     judged = {each["key"]: each["holds"] for each in run.events if each["kind"] == "verdict"}
