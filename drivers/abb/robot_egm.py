@@ -573,8 +573,8 @@ class AbbEgmRobot:
                     act="read the event at the pendant and remove its cause",
                 )
             if holder := services.holder():
-                found += f"; mastership is held by: {holder}"
-                return ROBOT.failed("HC-B83", "move", found, expected="mastership")
+                found = f"{holder}: {found}"
+                return ROBOT.failed("HC-B83", "move", found, expected="nobody, or hilcell")
         except DeviceError as error:
             if error.code in PANEL:
                 return error

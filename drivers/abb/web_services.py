@@ -250,9 +250,9 @@ class WebServices:
             act = "end other clients of the controller's web services; a session ends after minutes"
             return ROBOT.failed("HC-B87", "use", found, expected="a free session", act=act)
         if answer.status == FORBIDDEN:
-            if holder := self.holder():
-                found += f"; mastership is held by: {holder}"
-                return ROBOT.refused("HC-B83", "write", found, expected="mastership")
+            if holder := self.holder():  # first: a long text is cut at its end
+                found = f"{holder}: {found}"
+                return ROBOT.refused("HC-B83", "write", found, expected="nobody, or hilcell")
             return ROBOT.failed("HC-B03", "use", found, expected="200 or 204")
         if answer.status == NOT_FOUND and "/rw/panel/" in operation:
             signs = f"{operation} has the answer {answer.status}"
@@ -263,16 +263,22 @@ class WebServices:
         return ROBOT.failed("HC-B03", "use", found, expected="200 or 204")
 
     def holder(self) -> str:
-        """Return who has the mastership, as the controller states it; "" for nobody."""
-        names = ("mastership", "application", "location", "alias", "uid")
+        """Return which other client has the mastership, as the controller states it; "" for none.
+
+        3HAC050973, "Get Mastership Domain": nomaster, local (the pendant), remote or internal;
+        names may be empty. ABB's App SDK reads the same of generation 2.
+        """
         try:
             states = self.states(self._mastership)
         except DeviceError as error:
-            return f"one who is not known ({error.found})"
+            return f"a client that is not known has the mastership ({error.found})"
         for state in states:
-            if state.get("mastership", "nomaster") != "nomaster":
-                parts = [f"{name} {clean(state[name])}" for name in names if state.get(name)]
-                return ", ".join(parts)
+            kind = clean(state.get("mastership", "nomaster"))
+            own = state.get("mastershipheldbyme", "").upper() == "TRUE"
+            if kind != "nomaster" and not own:
+                names = ("application", "location", "alias", "uid")
+                named = [f"{name} {clean(state[name])}" for name in names if state.get(name)]
+                return f"a {kind} client has the mastership ({', '.join(named) or 'not named'})"
         return ""
 
     def _invalid(self, path: str, found: str) -> DeviceError:

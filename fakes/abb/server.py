@@ -192,15 +192,15 @@ class Resources:
             return Reply(200, [])
         if name := self._symbol(path):
             return self._symbol_value(name)
-        states = self._fixed(path)
+        states = self._fixed(path, session)
         if states is None and path.startswith("/rw/motionsystem/mechunits/ROB_1/"):
             states = self._position(path.rpartition("/")[2])
         return Reply(404) if states is None else Reply(200, states)
 
-    def _fixed(self, path: str) -> list[dict[str, Any]] | None:
+    def _fixed(self, path: str, session: str) -> list[dict[str, Any]] | None:
         controller = self._controller
         state_path = "ctrlstate" if self._generation == 1 else "ctrl-state"
-        holder = self._holder()
+        holder = self._holder(session)
         single: dict[str, list[dict[str, Any]]] = {
             f"/rw/panel/{state_path}": [_item("pnl-ctrlstate", ctrlstate=controller.panel)],
             "/rw/panel/opmode": [_item("pnl-opmode", opmode=controller.mode)],
@@ -323,11 +323,13 @@ class Resources:
             return True
         return self._sessions.holder not in ("", session)
 
-    def _holder(self) -> dict[str, str]:
+    def _holder(self, session: str) -> dict[str, str]:
         if self._controller.pendant_has_mastership or self._controller.mode != "AUTO":
             return {"mastership": "local", "application": "FlexPendant", "location": "TPU"}
         if self._sessions.holder:
-            return {"mastership": "remote", "application": "RWS", "uid": "61"}
+            own = str(self._sessions.holder == session).upper()
+            names = {"application": "RWS", "location": "", "alias": "", "uid": "61"}
+            return {"mastership": "remote", **names, "mastershipheldbyme": own}
         return {"mastership": "nomaster"}
 
 
