@@ -11,7 +11,8 @@ from hilcell.decoding import typed
 from hilcell.ports import ControllerFile, ControllerSide
 
 MODULE_FILE = "hilcell.mod"
-MODULE_VERSION = 2
+MODULE_VERSION = 3
+NO_LOAD_KG = 0.001  # mass of the controller's load0
 UNFILLED = re.compile(r" *! TO BE FILLED IN: .*\n")
 DEVICE = "UCdevice"
 STEPS = """
@@ -29,7 +30,8 @@ to start and stop programs and to use web services. Write its password into a fi
 read, and name it in `robot.options.password_file`, or set HILCELL_ABB_PASSWORD.
 
 Copy `hilcell.mod` to `HOME` and load it into task T_ROB1. Its tool `hc_tool` is the reflector's
-centre on the flange{reflector}; enter the load that is really there.{unfilled}
+centre on the flange{reflector}; enter the load that is really there: at a mass of 0.001 kg, as in
+the file, nothing moves.{unfilled}
 
 RobotWare 7: compare the certificate's SHA-256 fingerprint, which hilcell names, with the one that a
 browser at the controller's service port shows, and write it to `robot.options.certificate_sha256`.

@@ -6,6 +6,7 @@ Joint limits are system parameters of the topic Motion, type Arm: ``lower_joint_
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import socket
@@ -16,7 +17,7 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.abb.controller_side import MODULE_VERSION
+from drivers.abb.controller_side import MODULE_VERSION, NO_LOAD_KG
 from drivers.abb.http_channel import PORTS, Login, Trust
 from drivers.abb.web_services import WebServices
 from drivers.device_errors import ROBOT
@@ -188,7 +189,10 @@ def abilities(
 
 
 def check_module(services: WebServices, device: str) -> str:
-    """Return the module's version; refuses another one, or one that streams to another device."""
+    """Return the module's version.
+
+    Refuses another one, one that streams to another device, or one whose tool has no load.
+    """
     found = services.symbol_numbers("hc_version")
     if found != [float(MODULE_VERSION)]:
         raise ROBOT.refused(
@@ -205,6 +209,15 @@ def check_module(services: WebServices, device: str) -> str:
             f"hilcell.mod streams to UDP unicast device {stated}",
             expected=f"{device}, which is robot.options.egm_device",
             act="correct the option, or write and load the module again by `hilcell files`",
+        )
+    mass_kg = next(iter(services.symbol_numbers("hc_tool")[8:]), math.nan)
+    if not mass_kg > NO_LOAD_KG:
+        raise ROBOT.refused(
+            "HC-B89",
+            "connect",
+            f"the load of hc_tool in hilcell.mod has a mass of {mass_kg:g} kg",
+            expected=f"that of all that is mounted, above {NO_LOAD_KG:g} kg",
+            mass_kg=mass_kg,
         )
     return f"version {MODULE_VERSION}"
 

@@ -16,7 +16,7 @@ from fakes.truth.machine import controller_arm
 from fakes.truth.noise import readout_noise
 from fakes.truth.transforms import Array
 
-VERSION, DEVICE = 2, "UCdevice"
+VERSION, DEVICE = 3, "UCdevice"
 STATE, ERROR = 1, 3  # types of events
 LOST, BRAKED = 8, 9
 NUMBERS = ("hc_session", "hc_life", "hc_order", "hc_brake", "hc_seconds")
@@ -48,6 +48,7 @@ class AbbController:
         self.options = ["RobotWare Base", "616-1 PC Interface", "689-1 Externally Guided Motion"]
         self.loaded, self.absolute = True, False
         self.kind = "Real Controller"
+        self.load_kg = "20"  # of hc_tool, as a person has entered it
         self.numbers = dict.fromkeys(NUMBERS, 0.0)
         self._target_deg = np.degrees(self._motion.state().joints_rad)
         self._state = [0, 0, 0, 0, 0, 0]  # version, session, life, done, error, begun
@@ -126,7 +127,8 @@ class AbbController:
                 return f"[[{joints}],[9E+09,9E+09,9E+09,9E+09,9E+09,9E+09]]"
             if name == "hc_tool":
                 x, y, z = (0.0, 0.0, 0.0) if self._wrong_tool else self.tool_mm
-                return f"[TRUE,[[{x:g},{y:g},{z:g}],[1,0,0,0]],[20,[0,0,100],[1,0,0,0],0,0,0]]"
+                load = f"[{self.load_kg},[0,0,100],[1,0,0,0],0,0,0]"
+                return f"[TRUE,[[{x:g},{y:g},{z:g}],[1,0,0,0]],{load}]"
             return None
 
     def write_symbol(self, name: str, text: str) -> bool:

@@ -23,6 +23,7 @@ from fakes.faults import Faults
 from fakes.site import Site
 from fakes.time import CellTime
 from fakes.truth.cell_truth import CellTruth
+from hilcell.alarms.alarm import line
 from hilcell.alarms.catalogue import entry_of
 from hilcell.cell.file import Cell, load_cell
 from hilcell.clock import WallClock
@@ -206,7 +207,7 @@ def test_a_module_that_is_missing_or_of_another_version_is_refused(bench: Bench)
     assert refused(bench).code == "HC-B86"
     bench.controller.loaded, bench.controller.version = True, 7
     error = refused(bench)
-    assert (error.code, error.expected) == ("HC-B17", "2")
+    assert (error.code, error.expected) == ("HC-B17", "3")
 
 
 def test_another_tool_is_refused(bench: Bench) -> None:
@@ -216,17 +217,44 @@ def test_another_tool_is_refused(bench: Bench) -> None:
     assert "127.010" in error.found
 
 
-def test_mastership_that_the_pendant_holds_is_refused(bench: Bench) -> None:
-    bench.controller.pendant_has_mastership = True
+@pytest.mark.parametrize("load", ["0.001", "0", "-1", "NaN", "TRUE"])
+def test_a_tool_whose_load_is_not_entered_is_refused(bench: Bench, load: str) -> None:
+    bench.controller.load_kg = load
     error = refused(bench)
-    assert error.code == "HC-B83"
-    assert "FlexPendant" in error.found
+    assert (error.code, load.casefold() in error.found.casefold()) == ("HC-B89", load != "TRUE")
+    (row,) = (each for each in bench.robot().inspect() if each.feature == "module hilcell")
+    assert (row.state, "load" in row.note) == ("has not", True)
 
 
-def test_a_refusal_without_a_holder_is_no_question_of_mastership(
+@pytest.mark.parametrize("generation", [1, 2])
+def test_mastership_that_the_pendant_holds_is_refused(generation: int) -> None:
+    with served(load_cell("abb", {"robot.options.web_services": str(generation)})) as bench:
+        bench.controller.pendant_has_mastership = True
+        error = refused(bench)
+    assert (error.code, error.expected) == ("HC-B83", "nobody, or hilcell")
+    shown = line(error.found)  # cut at its end
+    assert shown.startswith("a local client has the mastership (application FlexPendant, ")
+    assert "answer 403" in shown
+
+
+def test_a_holder_that_the_controller_does_not_name_has_no_name(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bench.controller, "start", lambda: False)
+    bench.server.sessions.holder = "of another PC"
+    error = refusal(bench.robot().connect)
+    assert error.found.startswith("a remote client has the mastership (application RWS, uid 61): ")
+    with first_contact.opened(bench.server.address) as services:
+        states = [{"mastership": "remote", "application": "", "location": "", "uid": ""}]
+        monkeypatch.setattr(services, "states", lambda _path: states)
+        assert services.holder() == "a remote client has the mastership (not named)"
+
+
+@pytest.mark.parametrize("refuses", ["start", "set_pointer"])
+def test_a_refusal_without_another_holder_is_no_question_of_mastership(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, refuses: str
+) -> None:
+    """The program pointer is set while the driver itself has the mastership."""
+    monkeypatch.setattr(bench.controller, refuses, lambda *_: False)
     error = refusal(bench.robot().connect)
     assert (error.code, "403" in error.found) == ("HC-B03", True)
 
@@ -466,6 +494,8 @@ def test_mastership_lost_during_a_motion_ends_it(bench: Bench, robot: AbbEgmRobo
     error = refusal(lambda: robot.move_to(FAR, 10.0))
     person.join()
     assert error.code == "HC-B83"
+    assert "(application FlexPendant, " in error.found
+    assert error.expected == "nobody, or hilcell"
 
 
 def test_a_module_that_another_has_started_is_noticed(bench: Bench, robot: AbbEgmRobot) -> None:
@@ -540,7 +570,7 @@ def test_a_lost_stop_is_made_good_by_the_watchdog(
     number = robot.command(FAR, 60.0)
     robot.stop()
     until(lambda: not bench.truth.robot.axes_moving)
-    assert bench.controller.read_symbol("hc_state") == f"[2,{robot._session},{robot._life},1,8,1]"
+    assert bench.controller.read_symbol("hc_state") == f"[3,{robot._session},{robot._life},1,8,1]"
     assert number == 1
     monkeypatch.undo()
 
@@ -638,7 +668,7 @@ def test_a_sweep_that_is_refused_moves_nothing(bench: Bench, robot: AbbEgmRobot)
 def test_a_brake_that_comes_before_its_order_holds(bench: Bench, robot: AbbEgmRobot) -> None:
     assert bench.controller.write_symbol("hc_brake", "1")
     robot.command(FAR, 60.0)
-    assert bench.controller.read_symbol("hc_state") == f"[2,{robot._session},{robot._life},1,9,1]"
+    assert bench.controller.read_symbol("hc_state") == f"[3,{robot._session},{robot._life},1,9,1]"
     assert not bench.truth.robot.moving
 
 

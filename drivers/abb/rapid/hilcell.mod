@@ -4,7 +4,7 @@ MODULE hilcell
   ! hc_state shows it when the motion has ended. The PC counts hc_life up meanwhile; where it does
   ! not for 1.5 s, the motion is stopped. The robot moves by MoveAbsJ to fine points alone. Another
   ! hc_session ends the program.
-  CONST num hc_version:=2;
+  CONST num hc_version:=3;
   ! The UDP unicast device of the position stream.
   CONST string hc_device:="UCdevice";
   CONST num hc_life_s:=1.5;
@@ -18,9 +18,11 @@ MODULE hilcell
   ! Written here: version, session, hc_life as seen, last order ended, its error, order begun.
   ! Errors: 0 none, 8 the PC's life sign was late, 9 braked.
   PERS num hc_state{6}:=[0,0,0,0,0,0];
-  ! The reflector's centre on the flange, without rotation, and the load.
+  ! The reflector's centre on the flange, without rotation, and the load. A load below the true one
+  ! overloads the arm: ENTER its mass in kg and its centre of gravity; else nothing moves.
   ! TO BE FILLED IN: three times 0 is no cell's; enter robot.smr_mm of the cell file.
-  PERS tooldata hc_tool:=[TRUE,[[0,0,0],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];
+  PERS tooldata hc_tool:=[TRUE,[[0,0,0],[1,0,0,0]],[0.001,[0,0,0.001],[1,0,0,0],0,0,0]];
+  CONST num hc_no_load_kg:=0.001;
   CONST num hc_cycle_s:=0.02;
   CONST num hc_arrived_deg:=0.01;
   LOCAL VAR egmident hc_egm;
@@ -28,6 +30,10 @@ MODULE hilcell
   LOCAL VAR num hc_heard_s:=0;
 
   PROC hc_main()
+    IF hc_tool.tload.mass<=hc_no_load_kg THEN
+      TPWrite "enter the load of hc_tool in module hilcell";
+      EXIT;
+    ENDIF
     hc_order:=0;
     hc_brake:=0;
     hc_state:=[hc_version,0,hc_life,0,0,0];

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import drivers.abb
-from drivers.abb.controller_side import MODULE_VERSION, controller_side
+from drivers.abb.controller_side import MODULE_VERSION, NO_LOAD_KG, controller_side
 from drivers.abb.robot_egm import BRAKED, LOST
 from drivers.supervision import HEARTBEAT_TIMEOUT_S
 
@@ -64,6 +64,20 @@ def test_tool_and_device_are_filled_in() -> None:
     assert not side.lacks
     assert any("10.0.0.5" in step for step in side.steps)
     assert any("`Mine`" in step for step in side.steps)
+
+
+def test_the_load_is_none_until_a_person_enters_it() -> None:
+    """The check stands before the stream and the first motion."""
+    placeholder = f"[{NO_LOAD_KG:g},[0,0,0.001],[1,0,0,0],0,0,0]];"
+    for options in ({}, {"smr_mm": (98.0, -1.5, 127.0)}):
+        (module,) = controller_side(options).files
+        (tool,) = re.findall(r"PERS tooldata hc_tool:=(.*)", module.contents.decode("ascii"))
+        assert tool.endswith(f",[1,0,0,0]],{placeholder}")
+    assert f"CONST num hc_no_load_kg:={NO_LOAD_KG:g};" in TEXT
+    code = re.sub(r"!.*", "", TEXT)
+    checked = re.search(r"IF hc_tool\.tload\.mass<=hc_no_load_kg THEN\s+TPWrite .*\s+EXIT;", code)
+    assert checked is not None
+    assert code.index("PROC hc_main()") < checked.start() < code.index("EGMGetId")
 
 
 def test_without_a_cell_file_and_steps_say_what_is_to_be_filled_in() -> None:
