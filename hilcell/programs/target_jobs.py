@@ -17,7 +17,7 @@ from hilcell.calibration.file import Calibration
 from hilcell.calibration.influence import NoBound
 from hilcell.calibration.tool_point import AT_REFLECTOR, Tip, tip_named, tip_of_program
 from hilcell.cell.devices import is_robot_driven
-from hilcell.cell.file import Cell, Station
+from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.grid import ROUNDING_MM, OutsideGrid
 from hilcell.compensation.programs import (
@@ -271,11 +271,11 @@ class StationTargets(TargetFiles):
             )
         if cell is None and program.tool is not None:
             say(f"{name}: its tool ({program.tool.text}) was not checked; --cell CELL does")
+        for note in StationTargets._check_slide(cell, station, program.slide):
+            say(f"{name}: {note}")
         if cell is not None:
             status = cell.robot.status
             check_posture(status, program.statuses(status, cell.robot.arm()))
-            if is_robot_driven(cell):
-                StationTargets._check_slide(cell.station_named(station), program.slide)
             T_W_B, command = released.calibration.base(station), targets.command
             if program.in_root:
                 command, T_W_B = StationTargets._taken_in(inverse(T_W_B), command), np.eye(4)
@@ -314,14 +314,30 @@ class StationTargets(TargetFiles):
             )
 
     @staticmethod
-    def _check_slide(station: Station, stated: tuple[str, float] | None) -> None:
-        """Raise `HilcellError` where a program moves the slide away from its station."""
+    def _check_slide(
+        cell: Cell | None, name: str, stated: tuple[str, float] | None
+    ) -> Iterator[str]:
+        """Raise `HilcellError` where a program moves the slide away from its station; yield a
+        note on a place that is not checked.
+        """
+        if stated is None:
+            return
+        where, place_mm = stated
+        if cell is None or not is_robot_driven(cell):
+            why = "this cell's slide is not moved by the robot's controller"
+            if not isnan(place_mm):
+                yield (
+                    f"{where}: its external axis at {place_mm:g} mm is left as it is and not "
+                    f"checked: {'--cell CELL is not given' if cell is None else why}"
+                )
+            return
+        station = cell.station_named(name)
         # A program's place is the drive's, and the strip's decides: no other station is so near.
         slide_mm = 5.0
-        if stated is not None and not abs(stated[1] - station.rail_mm) <= slide_mm:
-            place = "a place not known" if isnan(stated[1]) else f"{stated[1]:g} mm"
+        if not abs(place_mm - station.rail_mm) <= slide_mm:
+            place = "a place not known" if isnan(place_mm) else f"{place_mm:g} mm"
             raise HilcellError(
-                f"{stated[0]} moves the slide to {place}, expected {station.rail_mm:g} mm, as at "
+                f"{where} moves the slide to {place}, expected {station.rail_mm:g} mm, as at "
                 f"{station.name}: correct the program for the station that it drives to",
                 code="HC-C10",
             )

@@ -29,8 +29,6 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.abb.program_rapid.data import (
-    CLOSES,
-    OPENS,
     OPERATORS,
     Arguments,
     Datum,
@@ -45,7 +43,7 @@ from drivers.abb.program_rapid.data import (
     structure,
 )
 from drivers.abb.program_rapid.program import Program, Target, from_quaternions
-from drivers.program_text import Token, source_text, split
+from drivers.program_text import CLOSES, OPENS, Token, source_text, split
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.programs import StatedBase, StatedTool, Stroke
 from hilcell.errors import bounded

@@ -124,6 +124,17 @@ def test_a_work_object_that_is_not_the_world_frame(desk: Workplace) -> None:
     assert f"set {place}],[" in said, "as RAPID states it"
 
 
+def test_an_external_axis_that_is_not_the_slide_of_the_cell_is_not_checked(
+    desk: Workplace,
+) -> None:
+    desk.target("0,0,1200", cf="0,-1,0,1")
+    desk.source.write_text(desk.source.read_text().replace("[9E+09", "[300"))
+    desk.calibrate(digest=CELL.digest)
+    done = desk.run("--cell", "paper")
+    assert done.returncode == 0, done.stderr
+    assert "by eax_a: its external axis at 300 mm is left as it is and not checked" in done.stderr
+
+
 def near_zero() -> tuple[str, int]:
     """A place that the correction takes from -0.2 to about 0.3 mm beside A1, and its cf4."""
     x, y, z = place = apply(T_W_B, np.array([[1850.0, -0.2, 950.0]]))[0]

@@ -126,6 +126,9 @@ def test_a_program_that_drives_the_slide_to_another_station(
     done = desk.run("--cell", "paper", "--set", "rail.driver=kuka-e1")
     assert done.returncode == code, done.stderr
     assert ("moves the slide to 300 mm, expected 1100 mm" in done.stderr) == (code == 2)
+    desk.calibrate(digest=CELL.digest)
+    done = desk.run("--cell", "paper", out=desk.folder / "by-another-drive.ls")
+    assert f"(drill.ls line 7): its external axis at {e1_mm:g} mm is left as it is" in done.stderr
 
 
 def test_prepare_writes_the_form_that_the_cell_states(tmp_path: Path) -> None:

@@ -151,3 +151,21 @@ def test_a_program_that_drives_the_slide_to_another_station_is_refused(
     done = workplace.run("--cell", "paper", *rides)
     assert done.returncode == code, done.stderr
     assert ("moves the slide to 300 mm, expected 1100 mm" in done.stderr) == (code == 2)
+    assert "is not checked" not in done.stderr
+
+
+def test_an_external_axis_that_is_not_the_slide_of_the_cell_is_not_checked(
+    workplace: Workplace,
+) -> None:
+    workplace.calibrate(digest=load_cell("paper").digest)
+    workplace.program("LIN XP1", "DECL E6POS XP1={X 0,Y 0,Z 1200,A 0,B 75,C 0,E1 300}")
+    where = "XP1 (drill.dat line 1): its external axis at 300 mm is left as it is and not checked"
+    driven = f"{where}: this cell's slide is not moved by the robot's controller"
+    assert driven in workplace.run("--cell", "paper").stderr
+    assert (
+        f"{where}: --cell CELL is not given" in workplace.run(out=workplace.folder / "2.src").stderr
+    )
+    workplace.program("LIN XP1", "DECL E6POS XP1={X 0,Y 0,Z 1200,A 0,B 75,C 0}")
+    done = workplace.run("--cell", "paper", out=workplace.folder / "3.src")
+    assert done.returncode == 0
+    assert "external axis" not in done.stderr
